@@ -20,8 +20,8 @@ from time import perf_counter, process_time
 
 import numpy as np
 
-from twin.compensation.gcode.correction import correct_program
-from twin.compensation.gcode.setup import CorrectionOptions, PartSetup
+from gcode.correction import correct_program
+from gcode.setup import CorrectionOptions, PartSetup
 from twin.compensation.table import Anchor, CompensationTable, regular_nodes
 
 SETUP = PartSetup({"G54": (500.0, 300.0, 200.0)})

@@ -5,7 +5,6 @@ sudden changes (steps), control limits and tolerances.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from agent.figures import report_style, study_style
+from agent.figures.style import BAND_OPACITY, BLUE, INK, ORANGE, PURPLE, QUIET, Drawing, Margins, picture
 from agent.history.trends import Trend
 from twin.monitoring import Drift
 
@@ -22,26 +21,11 @@ _COLUMNS = 2
 _ROW_IN = 2.2
 
 
-@dataclass(frozen=True)
-class Colours:
-    value: str
-    line: str
-    limit: str
-    quiet: str
-    band: float
-
-
-PICTURE = Colours(
-    study_style.BLUE, study_style.ORANGE, study_style.PURPLE, study_style.QUIET, report_style.BAND_OPACITY
-)
-PAGE = Colours(report_style.BLUE, report_style.ORANGE, report_style.PURPLE, report_style.INK, report_style.BAND_OPACITY)
-
-
 def trends_png(trends: Sequence[Trend]) -> bytes:
     """Return a PNG image with one panel per trend and two panels in each row."""
     rows = -(-len(trends) // _COLUMNS)
     size = (9.0, max(_ROW_IN * rows, 2.6) + 0.4)
-    return study_style.picture("trends", lambda figure: _panels(figure, trends, PICTURE), size).png
+    return picture("trends", lambda figure: _panels(figure, trends, QUIET), size).png
 
 
 def trends_svg(trends: Sequence[Trend]) -> str:
@@ -50,38 +34,36 @@ def trends_svg(trends: Sequence[Trend]) -> str:
     The colours of the figure follow the theme of the report page.
     """
     rows = -(-len(trends) // _COLUMNS)
-    drawing = report_style.Drawing("trends", 10.4, 2.1 * rows + 0.3, report_style.Margins(bottom=0.45))
+    drawing = Drawing("trends", 10.4, 2.1 * rows + 0.3, Margins(bottom=0.45))
     with drawing as figure:
         figure.subplots_adjust(wspace=0.2, hspace=0.75)
-        _panels(figure, trends, PAGE)
+        _panels(figure, trends, INK)
     return drawing.svg()
 
 
-def _panels(figure: Figure, trends: Sequence[Trend], colours: Colours) -> None:
+def _panels(figure: Figure, trends: Sequence[Trend], quiet: str) -> None:
     rows = -(-len(trends) // _COLUMNS)
     columns = min(len(trends), _COLUMNS)
     panels = np.atleast_1d(figure.subplots(rows, columns)).ravel()
     for panel, trend in zip(panels, trends, strict=False):
-        _panel(panel, trend, colours)
+        _panel(panel, trend, quiet)
     for panel in panels[len(trends) :]:
         panel.set_axis_off()
 
 
-def _panel(panel: Axes, trend: Trend, colours: Colours) -> None:
+def _panel(panel: Axes, trend: Trend, quiet: str) -> None:
     series, drift = trend.series, trend.drift
     panel.set_title(series.title, loc="left")
     doubt = COVERAGE * series.sigmas if series.stated else None
-    panel.errorbar(
-        series.nights, series.values, yerr=doubt, fmt="o", color=colours.value, markersize=3.5, elinewidth=0.7
-    )
+    panel.errorbar(series.nights, series.values, yerr=doubt, fmt="o", color=BLUE, markersize=3.5, elinewidth=0.7)
     if drift is not None:
-        _line(panel, trend, drift, colours)
+        _line(panel, trend, drift, quiet)
     if trend.chart is not None:
         for limit in (trend.chart.lower, trend.chart.upper):
-            panel.axhline(limit, color=colours.quiet, linewidth=0.8, linestyle=":")
+            panel.axhline(limit, color=quiet, linewidth=0.8, linestyle=":")
     if series.tolerance is not None:
         for side in (1.0, -1.0) if series.two_sided else (1.0,):
-            panel.axhline(side * series.tolerance, color=colours.limit, linewidth=1.0, linestyle="--")
+            panel.axhline(side * series.tolerance, color=PURPLE, linewidth=1.0, linestyle="--")
     if not series.two_sided:
         panel.set_ylim(bottom=0.0)
     panel.set_xlabel("nights", labelpad=1)
@@ -89,7 +71,7 @@ def _panel(panel: Axes, trend: Trend, colours: Colours) -> None:
     panel.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 
-def _line(panel: Axes, trend: Trend, drift: Drift, colours: Colours) -> None:
+def _line(panel: Axes, trend: Trend, drift: Drift, quiet: str) -> None:
     """Draw the fitted line in sections from step to step, so that no slanted line connects the two sides of a step.
 
     The uncertainty band is drawn only for the last section.
@@ -98,11 +80,11 @@ def _line(panel: Axes, trend: Trend, drift: Drift, colours: Colours) -> None:
     edges = [-np.inf, *(at for at, _, _ in drift.steps), np.inf]
     for start, end in pairwise(edges):
         chosen = (nights >= start) & (nights < end)
-        panel.plot(nights[chosen], drift.fitted[chosen], color=colours.line, linewidth=1.2)
+        panel.plot(nights[chosen], drift.fitted[chosen], color=ORANGE, linewidth=1.2)
     for at, _, _ in drift.steps:
-        panel.axvline(at, color=colours.quiet, linewidth=0.7, linestyle="-.")
+        panel.axvline(at, color=quiet, linewidth=0.7, linestyle="-.")
     recent = nights[nights >= edges[-2]]
     ahead = [drift.predict(night - nights[-1]) for night in recent]
     value, sigma = np.array(ahead).T
     half = drift.factor * sigma
-    panel.fill_between(recent, value - half, value + half, color=colours.line, alpha=colours.band, linewidth=0)
+    panel.fill_between(recent, value - half, value + half, color=ORANGE, alpha=BAND_OPACITY, linewidth=0)

@@ -77,7 +77,7 @@ def preparation_of(
     check, qualifying, turning = settings.probe_check, settings.qualification, settings.reversal
     dense = replace(probing, directions=ring_directions(QUALIFYING_RINGS, probing.stylus_axis))
     limit_mm = qualifying.limit_um * MM_PER_UM
-    limits = BallLimits(probing.limits.radius_deviation_mm, limit_mm, limit_mm, limit_mm)
+    limits = BallLimits(probing.limits.radius_limit_mm, limit_mm, limit_mm, limit_mm)
     spread_mm = qualifying.ball_radius_sigma_um * MM_PER_UM
     rules = QualificationRules(dense.directions, qualifying.ball, qualifying.pretravel_map, limits, spread_mm)
     return Preparation(

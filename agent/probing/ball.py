@@ -1,5 +1,9 @@
 """Measurement of one ball. The ball is touched in a fixed pattern of directions, a sphere is fitted to the touches, and
-the fitted sphere is checked against limits. If a limit is exceeded, the measurement is repeated a few times."""
+the fitted sphere is checked against limits. If a limit is exceeded, the measurement is repeated a few times.
+
+Gates (limits) that a fitted ball must pass, and the choice of the touches that are repeated if the ball fails a
+gate.
+"""
 
 from __future__ import annotations
 
@@ -10,20 +14,26 @@ from numpy.typing import NDArray
 
 from agent.errors import MeasurementFault
 from agent.execution.steps import Plan, Point, Record
-from agent.probing.ball_gates import FailedGate, doubtful_touches, first_failed_gate
 from agent.probing.probing_parameters import ProbingParameters, Search
 from agent.probing.touch import TouchPath, point, touch_ball
 from drivers.roles import Vector
 from twin.artefact.sphere_fit import SphereFit, fit_sphere
 from twin.errors import TwinError
+from twin.units import UM_PER_MM
 
 __all__ = ["NOT_FOUND_HINT", "FittedBall", "LostBall", "measure_ball", "point"]
-
 NOT_FOUND_HINT = (
     "deflect the stylus by hand: `volcal doctor` must show it. Then check the station's location in the settings, the "
     "mount's zero and the artefact's seat"
 )
 """What to do if a ball whose place is not known yet was not found."""
+TIE_RATIO = 0.95
+"""Fraction of the largest standardised residual above which a touch cannot be distinguished from the worst touch.
+
+The actual touch directions deviate from the pattern, because the ball may be off its expected centre by up to the
+re-centring limit, a few percent of its radius."""
+MIN_POLE_REDUNDANCY = 0.05
+"""Redundancy of the pole touch below which the other touches do not determine the sphere at the pole."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,3 +236,75 @@ class _Ball:
         if not (last or self.given_up):
             return "repeat the ball"
         return "stop" if self._probing.stop_on_failure else "skip the ball"
+
+
+@dataclass(frozen=True)
+class FailedGate:
+    """Gate (limit) that a fitted ball did not pass, with the value found (`figure_um`), the limit and a text with
+    both."""
+
+    gate: str
+    figure_um: float
+    limit_um: float
+    text: str
+
+    def payload(self, ball: str, then: str) -> dict[str, object]:
+        """Return the payload of the journal record about this gate. `ball` is the key of the ball in the run, and
+        `then` is a text that states what is done next."""
+        return {
+            "ball": ball,
+            "gate": self.gate,
+            "figure_um": round(self.figure_um, 3),
+            "limit_um": self.limit_um,
+            "reason": self.text,
+            "then": then,
+        }
+
+
+def first_failed_gate(fit: SphereFit, probing: ProbingParameters) -> FailedGate | None:
+    """Return the first gate (limit of a measured ball) that `fit`, a sphere fitted with a free radius, does not pass;
+    None if it passes all gates."""
+    limits = probing.limits
+    deviation = fit.radius - probing.expected_radius_mm
+    worst = int(np.abs(fit.residuals).argmax())
+    pole = pole_error_mm(fit, probing)
+    checks = (
+        ("radius", deviation, limits.radius_limit_mm, "radius is off by"),
+        ("form", fit.form, limits.form_limit_mm, "form is"),
+        ("touch", fit.residuals[worst], limits.touch_limit_mm, f"touch {worst} is off the sphere by"),
+        ("pole", 0.0 if pole is None else pole, limits.pole_limit_mm, "the pole is off the sphere through the rest by"),
+    )
+    for gate, value_mm, limit_mm, words in checks:
+        figure_um, limit_um = float(value_mm) * UM_PER_MM, limit_mm * UM_PER_MM
+        if abs(figure_um) > limit_um:
+            text = f"{words} {figure_um:.1f} µm, allowed {limit_um:.1f} µm"
+            return FailedGate(gate, figure_um, limit_um, text)
+    return None
+
+
+def pole_error_mm(fit: SphereFit, probing: ProbingParameters) -> float | None:
+    """Return the distance in mm of the touch at the pole (the point of the ball that faces the stylus) from the sphere
+    through all other touches; None for the pattern of five touches, one at the pole and four on the equator.
+
+    To first order, the distance is the residual of the pole touch divided by its redundancy, which is the fraction of a
+    touch's error that appears in its residual. In the pattern of five touches, the four equator touches lie in one
+    plane and determine no sphere. With that pattern, a late trip at the pole looks like a ball that is farther away.
+    """
+    share = float(probing.redundancies[0])
+    return float(fit.residuals[0]) / share if share > MIN_POLE_REDUNDANCY else None
+
+
+def doubtful_touches(fit: SphereFit, probing: ProbingParameters) -> tuple[int, ...]:
+    """Return the indices of the touches to repeat: the worst touch, and each touch that the pattern of touch directions
+    cannot distinguish from it.
+
+    The redundancy of a touch is the fraction of its error that appears in its residual. To find the worst touch, each
+    residual is divided by the square root of the redundancy (Baarda's test). If a pole touch and four equator touches
+    are fitted with a free radius, a wrong touch on the equator changes the residuals of the four equator touches
+    equally. All four are then repeated.
+    """
+    # Standardised residual w_i = |v_i| / √r_i; touches without redundancy have none.
+    shown = np.sqrt(probing.redundancies)
+    weighed = np.divide(np.abs(fit.residuals), shown, out=np.zeros_like(shown), where=shown > 0.0)
+    largest = weighed.max()
+    return tuple(int(i) for i in np.flatnonzero(weighed >= TIE_RATIO * largest)) if largest > 0.0 else ()

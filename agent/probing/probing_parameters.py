@@ -36,15 +36,16 @@ class BallLimits:
     """Limits that a measured ball must keep. If a limit is exceeded, first the touches that may have caused this are
     repeated, then all touches of the ball.
 
-    `radius_deviation_mm` is the limit of the deviation from the expected radius. `form_mm` is the limit of the form
-    error. `touch_mm` is the limit of each residual of the fitted sphere. `pole_mm` is the limit of the distance of the
-    touch at the pole (the point that faces the stylus) from the sphere through the other touches.
+    `radius_limit_mm` is the limit of the deviation from the expected radius. `form_limit_mm` is the limit of the form
+    error. `touch_limit_mm` is the limit of each residual of the fitted sphere. `pole_limit_mm` is the limit of the
+    distance of the touch at the pole (the point that faces the stylus) from the sphere through the other touches. The
+    names are those of the settings, in mm.
     """
 
-    radius_deviation_mm: float
-    form_mm: float
-    touch_mm: float
-    pole_mm: float
+    radius_limit_mm: float
+    form_limit_mm: float
+    touch_limit_mm: float
+    pole_limit_mm: float
 
 
 @dataclass(frozen=True)

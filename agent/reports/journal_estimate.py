@@ -15,8 +15,8 @@ from twin.machine.error_model import ErrorModel
 
 @dataclass(frozen=True, eq=False)
 class JournalEstimate:
-    """Estimate of a machine's errors that was read from the journal of a run; it implements
-    `agent.reports.page.ReportedEstimate`.
+    """Estimate of a machine's errors that was read from the journal of a run. A report uses it in place of an
+    `Estimate`.
 
     `misfit` is the estimated part of the error field that the error model cannot represent; it is None if the run did
     not estimate it.
@@ -34,7 +34,6 @@ class JournalEstimate:
     rank: int
     conditioning: float
     null_summary: tuple[str, ...]
-    scales_at_bounds: tuple[str, ...]
     certificate_check: tuple[BallCheck, ...]
     artefact_calibration: ArtefactCalibration | None
 
@@ -66,7 +65,6 @@ def journal_estimate(stored: StoredEstimate, unresolved_mm2: float) -> JournalEs
         rank=document.rank,
         conditioning=document.conditioning,
         null_summary=document.null_summary,
-        scales_at_bounds=document.scales_at_bounds,
         certificate_check=stored.certificate_check,
         artefact_calibration=stored.artefact_calibration,
     )

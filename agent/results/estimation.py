@@ -1,6 +1,8 @@
 """Estimation of the machine's errors from measured balls.
 
 The module computes the estimate, the predicted accuracy and the compensation table.
+
+Computation of the volumetric error inside and outside the measured region from an estimate.
 """
 
 from __future__ import annotations
@@ -13,27 +15,29 @@ import numpy as np
 
 from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
-from agent.results.facts import VolumetricSummary
+from agent.results.facts import Quantity, VolumetricSummary
 from agent.results.observations import Correction, ReferenceArtefact, positions_named
 from agent.results.thermal_drift import identification_options, observations_with_drift
 from agent.results.thermometer import ThermometerFacts, ThermometerStatement
-from agent.results.travel_parts import TravelParts
-from agent.results.travel_summary import travel_parts
-from agent.results.volumetric_summary import volumetric_summary
+from agent.results.travel_parts import Limits, TravelPart, TravelParts
 from agent.settings.schema import Order, TableSettings
 from agent.settings.temperature import TemperatureSettings
 from drivers.clock import utc_timestamp
+from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
-from twin.compensation.table import Anchor, CompensationTable, Nodes, build_table, regular_nodes
+from twin.compensation.table import Anchor, CompensationTable, MeasuredRegion, Nodes, build_table, regular_nodes
 from twin.formats.estimate_file import VolumetricSection, format_estimate
-from twin.identification import Estimate, Options, identify, identify_by_evidence
+from twin.identification import Estimate, Options, expected_rms, identify, identify_by_evidence, regional_forms
 from twin.identification.checks.measured_shape import check_shape
-from twin.identification.predicted import field_forms
+from twin.identification.predicted import expected_vce, field_forms
 from twin.machine.error_model import ErrorModel
 from twin.machine.machine_description import MachineDescription
-from twin.machine.volumetric import evaluation_grid
+from twin.machine.volumetric import QuadraticForm, evaluation_grid
 from twin.uncertainty.thermometer_effect import ThermometerEffect, thermometer_effect
+from twin.uncertainty.volumetric_distribution import regional_limits
+from twin.uncertainty.volumetric_limits import limits_of_form
+from twin.units import UM_PER_MM
 
 
 @dataclass(frozen=True)
@@ -183,3 +187,84 @@ def provenance(job: Job, run_id: str) -> dict[str, str]:
         "order": str(chosen.order),
         "table_tool": job.settings.tool,
     }
+
+
+def volumetric_summary(
+    estimate: Estimate, tool_offset: Array, forms: tuple[Array, Array] | None = None
+) -> VolumetricSummary:
+    """Return the estimated volumetric error (VE) of the machine without compensation and the volumetric compensated
+    error (VCE) expected with compensation, each with its 95 % limits.
+
+    Both are computed over the standard grid of the workspace, in µm, after removal of the best-fitting rigid motion.
+    `forms` are the two quadratic forms of the error field over this grid that `field_forms` returns; they are computed
+    if they are None.
+    """
+    grid = evaluation_grid(estimate.model.ranges_mm)
+    form = QuadraticForm.build(estimate.model, grid, tool_offset)
+    if forms is None:
+        forms = field_forms(estimate, grid, tool_offset)
+    limits = limits_of_form(estimate, forms[1])
+    table_ve_mm = form.value(estimate.parameters).aligned_mm
+    return VolumetricSummary(
+        before_aligned=Quantity(limits.expected_ve_um, _uncertainty_um(table_ve_mm, form, estimate), limits.ve_um),
+        after_aligned=_expected(expected_vce(estimate, forms).aligned_mm, form.aligned, estimate, limits.vce_um),
+        table_ve_um=UM_PER_MM * table_ve_mm,
+    )
+
+
+def _uncertainty_um(value_mm: float, form: QuadraticForm, estimate: Estimate) -> float:
+    """Return the standard uncertainty u in µm of the VE `value_mm` of the estimated parameters.
+
+    If the parameters are E, their covariance is P and the matrix of `form` is Q, the VE is v = sqrt(E'QE). To first
+    order, u² = E'Q P Q E / v².
+    """
+    gradient = form.aligned @ estimate.parameters / max(value_mm, 1e-12)
+    variance = float(gradient @ estimate.covariance @ gradient)
+    return UM_PER_MM * float(np.sqrt(max(variance, 0.0)))
+
+
+def _expected(value_mm: float, form: Array, estimate: Estimate, limits_um: tuple[float, float]) -> Quantity:
+    """Return the expected VCE and, as its uncertainty, the standard deviation of the VCE of one machine, in µm.
+
+    If the parameter errors e are normally distributed with covariance P, and the matrix `form` is Q, then VCE² = e'Qe
+    has the variance 2 trace(QPQP).
+    """
+    product = form @ estimate.covariance
+    variance = 2.0 * float(np.einsum("ij,ji->", product, product))
+    uncertainty_mm = float(np.sqrt(max(variance, 0.0))) / (2.0 * max(value_mm, 1e-12))
+    return Quantity(UM_PER_MM * value_mm, UM_PER_MM * uncertainty_mm, limits_um)
+
+
+def travel_parts(estimate: Estimate, tool_offset: Array, measured: Array) -> TravelParts:
+    """Return the volumetric error inside and outside the region around the measured axis positions `measured` (n, 3) in
+    mm, for a tool offset (3,) in mm.
+
+    The region is the one outside which nodes of the compensation table count as extrapolated: the convex hull of the
+    measured positions with a margin of half a ball pitch. The grid is that of the volumetric error.
+    """
+    grid = evaluation_grid(estimate.model.ranges_mm)
+    inside = MeasuredRegion.around(measured).contains(grid)
+    forms = regional_forms(estimate, grid, inside, tool_offset)
+    share = float(inside.mean())
+    known = [(form, part) for form, part in zip(forms, (share, 1.0 - share), strict=True) if form is not None]
+    limits = iter(regional_limits(estimate, [form for form, _ in known]))
+    parts = iter([_travel_part(estimate, form, part, *next(limits)) for form, part in known])
+    first, second = (None if form is None else next(parts) for form in forms)
+    return TravelParts(first, second)
+
+
+def _travel_part(estimate: Estimate, form: Array, share: float, ve_mm: Limits, vce_mm: Limits) -> TravelPart:
+    size = estimate.model.size
+    square = float(estimate.parameters @ form[:size, :size] @ estimate.parameters)
+    return TravelPart(
+        share=share,
+        estimated_ve_um=UM_PER_MM * float(np.sqrt(max(square, 0.0))),
+        estimated_ve_limits_um=_in_um(ve_mm),
+        predicted_vce_um=UM_PER_MM * expected_rms(estimate, form),
+        predicted_vce_limits_um=_in_um(vce_mm),
+    )
+
+
+def _in_um(limits_mm: Limits) -> Limits:
+    lower, upper = limits_mm
+    return UM_PER_MM * lower, UM_PER_MM * upper

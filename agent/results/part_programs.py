@@ -11,10 +11,10 @@ from typing import BinaryIO, TextIO
 
 from agent.files import read_text, streamed_atomically, translated
 from drivers.errors import InputError
-from twin.compensation.gcode.correction import correct_program
-from twin.compensation.gcode.correction_summary import CorrectionSummary
-from twin.compensation.gcode.setup import CorrectionOptions, PartSetup
-from twin.compensation.part_setup_file import parse_part_setup
+from gcode.correction import correct_program
+from gcode.correction_summary import CorrectionSummary
+from gcode.setup import CorrectionOptions, PartSetup
+from gcode.setup_file import parse_part_setup
 from twin.compensation.table import CompensationTable
 from twin.compensation.table_file import checksum, parse_table
 

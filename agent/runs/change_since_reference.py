@@ -69,7 +69,7 @@ def fit_of_night(
         night_noise(job, old.model),
         nights=nights,
         options=options,
-        false_alarm=job.gate_limits.night_false_alarm,
+        night_false_alarm=job.gate_limits.night_false_alarm,
     )
 
 

@@ -277,7 +277,7 @@ def _after_earlier_night(
             known,
             noise,
             options=options,
-            false_alarm=request.gates.night_false_alarm,
+            night_false_alarm=request.gates.night_false_alarm,
         )
     return replace(material, options=replace(options, carried_over=night.prior), night=night)
 

@@ -15,31 +15,7 @@ from typing import Any, Protocol
 
 from agent.execution.states import RunState
 from agent.runs.run_request import RunRequest, Source
-
-
-@dataclass(frozen=True)
-class BallToPlace:
-    """Axis positions in mm at which the centre of the ball number `ball` is to be."""
-
-    ball: int
-    position_mm: tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class Placement:
-    """Position in which the artefact is to be placed by hand: its orientation and the places of some of its balls, of
-    which the first is measured first.
-
-    If the last placement was refused, `refused` is the reason, a value of
-    `agent.probing.hand_placement.PlacementFault`, and `refused_ball` is the ball that it concerns. Otherwise `refused`
-    is empty.
-    """
-
-    azimuth_deg: float
-    elevation_deg: float
-    balls: tuple[BallToPlace, ...]
-    refused: str
-    refused_ball: int | None
+from drivers.roles import PlacementRequest
 
 
 @dataclass(frozen=True)
@@ -50,7 +26,7 @@ class Question:
     number: int
     text: str
     station: int | None = None
-    placement: Placement | None = None
+    placement: PlacementRequest | None = None
 
 
 @dataclass(frozen=True)

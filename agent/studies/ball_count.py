@@ -11,7 +11,7 @@ from functools import partial
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.figures.study_style import INK, MARKERS, QUIET, SERIES
+from agent.figures.style import INK, MARKERS, QUIET, SERIES
 from agent.planning.design.bar_variants import Bar
 from agent.studies.identification_variants import IdentificationVariant, identification_variants
 from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant, Verdict

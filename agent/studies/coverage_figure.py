@@ -9,8 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.figures.report_style import BAND_OPACITY
-from agent.figures.study_style import GREEN, INK, MARKERS, QUIET, SERIES
+from agent.figures.style import BAND_OPACITY, GREEN, INK, MARKERS, QUIET, SERIES
 from twin.arrays import Array
 from twin.uncertainty.coverage import ObservedCoverage
 

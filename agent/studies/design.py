@@ -18,7 +18,7 @@ from typing import TypeVar
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.figures.study_style import BLUE, GREEN, INK, ORANGE, PURPLE, from_zero
+from agent.figures.style import BLUE, GREEN, INK, ORANGE, PURPLE, from_zero
 from agent.planning.cycle_time import machine_minutes
 from agent.planning.design.design_problem import DesignProblem
 from agent.planning.design.design_result import Prove, find_design

@@ -17,8 +17,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.figures.report_style import BAND_OPACITY
-from agent.figures.study_style import BLUE, GREEN, INK, ORANGE, from_zero
+from agent.figures.style import BAND_OPACITY, BLUE, GREEN, INK, ORANGE, from_zero
 from agent.studies.study import StudyCase, StudyResult
 from agent.studies.workers import generator
 from twin.arrays import Array

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
 
-from agent.figures.report_style import MAP_COLOURS
+from agent.figures.style import MAP_COLOURS
 from twin.arrays import Array
 from twin.machine.error_model import Ranges
 

@@ -12,7 +12,7 @@ from itertools import combinations
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.figures.study_style import SERIES
+from agent.figures.style import SERIES
 from agent.planning.cycle_time import machine_minutes
 from agent.studies.identification_variants import IdentificationVariant, identification_variants
 from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant, Verdict

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from agent.figures.heading import subject
-from agent.figures.study_style import Draw, headed
+from agent.figures.style import Draw, headed
 from agent.model_files import load_positions
 from agent.planning.design.design_result import Prove
 from agent.planning.job import Job
@@ -131,7 +131,7 @@ class StudyResult:
 
     `columns` (the names with units) and `rows` form a table. `summary` contains values that `agent.studies.study_files`
     can write as JSON. `draw` is a function that draws the result on an empty figure of `size_in` inches, in the style
-    of `agent.figures.study_style`.
+    of `agent.figures.style`.
     """
 
     name: str

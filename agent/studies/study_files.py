@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.figures.study_style import picture
+from agent.figures.style import picture
 from agent.files import write_all_atomically
 from agent.studies.study import Cell, StudyResult
 

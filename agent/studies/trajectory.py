@@ -11,8 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.figures.report_style import BAND_OPACITY
-from agent.figures.study_style import INK, SERIES
+from agent.figures.style import BAND_OPACITY, INK, SERIES
 from agent.planning.design.bar_variants import Bar
 from agent.studies.identification_variants import IdentificationVariant, identification_variants
 from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant, simulate_if_identified

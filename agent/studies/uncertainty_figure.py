@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.figures.study_style import BLUE, GRID, INK, ORANGE, QUIET, SKY, from_zero
+from agent.figures.style import BLUE, GRID, INK, ORANGE, QUIET, SKY, from_zero
 from agent.studies.monte_carlo import ErrorSample
 from agent.studies.plane_map import PLANE_SHAPE, Plane, draw_plane, map_nodes
 from twin.machine.motion_uncertainty import motion_uncertainty

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
-from agent.figures.study_style import BLUE, INK, ORANGE, from_zero
+from agent.figures.style import BLUE, INK, ORANGE, from_zero
 from agent.planning.design.set_valuation import valuation_of
 from agent.studies.monte_carlo import ErrorSample, ProcedureTask, SimulatedMachine
 from agent.studies.study import StudyCase, StudyResult

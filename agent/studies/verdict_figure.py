@@ -17,7 +17,7 @@ from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from agent.figures.study_style import MARKERS, QUIET, SERIES
+from agent.figures.style import MARKERS, QUIET, SERIES
 from agent.studies.procedure_value import Verdict
 from agent.studies.verdict_table import aligned_um
 from twin.machine.volumetric import VolumetricRms

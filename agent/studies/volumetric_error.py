@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.figures.study_style import BLUE, INK, ORANGE
+from agent.figures.style import BLUE, INK, ORANGE
 from agent.studies.plane_map import PLANE_SHAPE, Plane, draw_plane, map_nodes
 from agent.studies.study import StudyCase, StudyResult
 from agent.studies.workers import generator

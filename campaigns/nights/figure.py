@@ -10,7 +10,7 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.figures.study_style import BLUE, GREEN, INK, ORANGE, PURPLE, QUIET, from_zero, picture
+from agent.figures.style import BLUE, GREEN, INK, ORANGE, PURPLE, QUIET, from_zero, picture
 from agent.files import write_all_atomically
 from agent.results.run_outcome import Decision
 from campaigns.nights.row import NightRow

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.figures.study_style import BLUE, GREEN, ORANGE, QUIET, picture
+from agent.figures.style import BLUE, GREEN, ORANGE, QUIET, picture
 from agent.files import write_all_atomically
 from campaigns.warming.row import WarmingRow
 

@@ -9,12 +9,20 @@ import numpy as np
 
 from drivers.clock import Clock
 from drivers.errors import DeviceError, LinkLost, ProtocolError
-from drivers.modbus_cnc.codes import ACTIVATIONS, NO_TEMPERATURE, CommandCode, fault_text
+from drivers.modbus_cnc.codes import (
+    ACTIVATIONS,
+    NO_TEMPERATURE,
+    PROBE_DEFLECTED,
+    PROBE_HEALTHY,
+    PROBE_LOADED,
+    CommandCode,
+    MotionOutcome,
+    fault_text,
+)
 from drivers.modbus_cnc.diagnosis import diagnose
 from drivers.modbus_cnc.link_factory import create_link
 from drivers.modbus_cnc.motion import ModbusMotion
-from drivers.modbus_cnc.probing import ModbusProbing
-from drivers.modbus_cnc.registers import CommandBlock, ControllerLimits
+from drivers.modbus_cnc.registers import CommandBlock, ControllerLimits, StatusImage, Triple
 from drivers.modbus_cnc.session import ModbusSession
 from drivers.modbus_cnc.settings import ModbusCncSettings
 from drivers.modbus_cnc.store import ModbusStore
@@ -29,16 +37,17 @@ from drivers.roles import (
     Touch,
     Vector,
 )
+from drivers.straight_move import distance_to_segment_mm
 
 MIN_TRAVEL_MM, MAX_TRAVEL_MM = 1.0, 1e6
 MIN_DYNAMICS = 0.1
 """Lowest plausible speed in mm/s and acceleration in mm/s²."""
-
 MIN_RESOLUTION_MM = 1e-9
 """Smallest plausible resolution in mm.
 
 This bound and `MIN_DYNAMICS` reveal a wrong word or byte order, which makes a float64 huge or smaller than 1e-300.
 """
+_LATCH_RESULTS = {MotionOutcome.TRIPPED: 1, MotionOutcome.MISSED: 2}
 
 
 class ModbusCnc:
@@ -178,3 +187,57 @@ class _Parts:
         self.motion = ModbusMotion(session, self.axis_limits)
         self.probing = ModbusProbing(session, self.motion)
         self.store = ModbusStore(session, limits)
+
+
+class ModbusProbing:
+    """Probing with the controller's touch-trigger probe.
+
+    A latched position is accepted only if it carries the sequence number of the touch command and lies on the path of
+    the touch.
+    """
+
+    def __init__(self, session: ModbusSession, motion: ModbusMotion) -> None:
+        self._session = session
+        self._motion = motion
+
+    def status(self) -> ProbeStatus:
+        bits = self._session.status().probe_bits
+        loaded, healthy = bool(bits & PROBE_LOADED), bool(bits & PROBE_HEALTHY)
+        detail = "" if loaded and healthy else ("not healthy: battery or link" if loaded else "not loaded")
+        return ProbeStatus(loaded, healthy, bool(bits & PROBE_DEFLECTED), detail)
+
+    def touch_towards(self, target_mm: Vector, feed_mm_per_s: float) -> Touch | Miss:
+        start, status = self._motion.run(CommandCode.TOUCH, tuple(float(value) for value in target_mm), feed_mm_per_s)
+        self._require_own_latch(status)
+        if status.outcome is MotionOutcome.MISSED:
+            return Miss(status.latched)
+        self._require_on_path(status.latched, start, target_mm)
+        return Touch(status.latched)
+
+    def _require_own_latch(self, status: StatusImage) -> None:
+        if status.latch_sequence != status.motion_sequence:
+            raise self._latch_error(
+                f"stale latch: it belongs to touch {status.latch_sequence}, not to touch {status.motion_sequence}"
+            )
+        if status.latch_result != _LATCH_RESULTS[status.outcome]:
+            raise self._latch_error(
+                f"touch ended as {status.outcome.name.lower()}, but the latch result is {status.latch_result}"
+            )
+
+    def _require_on_path(self, latched: Triple, start: Triple, target_mm: Vector) -> None:
+        distance_mm = distance_to_segment_mm(np.array(latched), np.array(start), np.asarray(target_mm, float))
+        allowed_mm = self._session.settings.latch_tolerance_mm
+        if distance_mm > allowed_mm:
+            raise self._latch_error(
+                f"latched position {latched} is {distance_mm:.3f} mm off the commanded path (allowed {allowed_mm:g} mm)"
+            )
+
+    def _latch_error(self, text: str) -> ProtocolError:
+        settings = self._session.settings
+        offset = self._session.layouts.status.offset("latch_sequence")
+        return ProtocolError(
+            text,
+            hint="check how the controller latches the position at the trip",
+            register=settings.blocks.status + offset,
+            **self._session.where,
+        )

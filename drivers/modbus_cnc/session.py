@@ -26,7 +26,6 @@ from drivers.modbus_cnc.codes import (
     fault_text,
     result_text,
 )
-from drivers.modbus_cnc.heartbeat import PeerHeartbeat
 from drivers.modbus_cnc.registers import BlockLayouts, CommandBlock, ControllerLimits, StatusImage
 from drivers.modbus_cnc.settings import ModbusCncSettings
 from drivers.roles import MotionState
@@ -270,3 +269,33 @@ class ModbusSession:
     def _next_sequence(self) -> int:
         self._sequence = self._sequence % 0xFFFF + 1
         return self._sequence
+
+
+class PeerHeartbeat:
+    """Monitor that raises LinkLost if a controller's heartbeat (a counter) has not changed for more than `lost_after_s`
+    seconds.
+
+    If more than `lost_after_s` seconds pass between two calls of `observe`, an unchanged heartbeat proves nothing, and
+    the monitor restarts its measurement of time.
+    """
+
+    def __init__(self, clock: Clock, lost_after_s: float, where: Mapping[str, str]) -> None:
+        self._clock = clock
+        self._lost_after_s = lost_after_s
+        self._where = where
+        self._value = -1
+        self._changed_s = 0.0
+        self._observed_s = float("-inf")
+
+    def observe(self, value: int) -> None:
+        now_s = self._clock.now()
+        watching = now_s - self._observed_s <= self._lost_after_s
+        self._observed_s = now_s
+        if value != self._value or not watching:
+            self._value, self._changed_s = value, now_s
+        elif now_s - self._changed_s > self._lost_after_s:
+            raise LinkLost(
+                f"the controller's heartbeat has been stuck at {value} for {now_s - self._changed_s:.1f} s",
+                hint="its Modbus server answers, but its program does not run; check the controller",
+                **self._where,
+            )

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from drivers.errors import CommandRejected
+import numpy as np
+
+from drivers.errors import CommandRejected, InputError
+from drivers.roles import TableImage
 from simulators.scenario import Misplacement, Scenario
 from simulators.world.ageing import apply_ageing
 from simulators.world.controller import Controller
+from simulators.world.field import FieldOfMany, TableField
 from simulators.world.mount import MountPhysics
 from simulators.world.noise import generator
 from simulators.world.thermal_effects import ThermalEffects
-from simulators.world.true_error import MachineTruth
 from simulators.world.turn_collisions import (
     TurnCrash,
     first_mount_collision,
@@ -21,7 +25,9 @@ from simulators.world.turn_collisions import (
 from simulators.world.workpiece import Workpiece
 from simulators.world.worktable import Worktable
 from twin.collision.geometry import point
+from twin.machine.error_model import ErrorModel
 from twin.machine.true_machine import TrueMachine, draw_machine, perfect_machine
+from twin.machine.volumetric import evaluation_grid, volumetric_error
 
 MOUNT = "mount"
 
@@ -208,3 +214,47 @@ def true_machine(scenario: Scenario) -> TrueMachine:
         rng=rng,
     )
     return apply_ageing(drawn, scenario.machine, settings.ageing)
+
+
+class MachineTruth:
+    """True error of the machine at its present temperature.
+
+    `banks` maps the numbers of the controller's banks to their compensation tables; it is shared with the controller
+    and not copied. `warm_field` is a function that returns the present thermal change of the deviation field, or None.
+    The thermal growth of spindle and ram is excluded: it shifts the tip equally at all positions, like a new zero
+    point, and a compensation table need not correct such a shift.
+    """
+
+    def __init__(
+        self,
+        machine: TrueMachine,
+        nominal: ErrorModel,
+        banks: Mapping[int, TableImage],
+        warm_field: Callable[[], FieldOfMany | None] = lambda: None,
+    ) -> None:
+        self.machine = machine
+        self._banks = banks
+        self._warm_field = warm_field
+        self._grid = evaluation_grid(nominal.ranges_mm)
+
+    def true_volumetric_error(self, bank: int | None = None) -> tuple[float, float]:
+        """Return two rms lengths of the true error in µm with the compensation table of `bank`, on a grid of 60×20×20
+        points in the workspace.
+
+        The first value is the raw error, and the second is the aligned error, which remains after the best-fitting
+        rigid motion is removed. If `bank` is None or 0, both values are errors without a compensation table. Raises
+        InputError if the bank is empty.
+        """
+        displayed = self._grid
+        correction = np.zeros_like(displayed)
+        if bank:
+            if bank not in self._banks:
+                raise InputError(f"bank {bank} holds no table", hint=f"filled banks: {sorted(self._banks)}")
+            correction = TableField(self._banks[bank]).at_many(displayed)
+        bare = displayed + correction
+        deviation = correction + self.machine.deviation(bare)
+        warm = self._warm_field()
+        if warm is not None:
+            deviation = deviation + warm(bare)
+        result = volumetric_error(displayed + self.machine.tool_offset, deviation)
+        return result.raw_um, result.aligned_um

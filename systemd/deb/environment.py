@@ -14,7 +14,18 @@ from urllib.parse import urlsplit
 
 PYTHON = f"python{sys.version_info.major}.{sys.version_info.minor}"
 SITE = Path("/usr/lib/volcal/lib") / PYTHON / "site-packages"
-SOURCES = ("agent", "config", "drivers", "simulators", "twin", "volcal", "pyproject.toml", "README.md", "LICENSE")
+SOURCES = (
+    "agent",
+    "config",
+    "drivers",
+    "gcode",
+    "simulators",
+    "twin",
+    "volcal",
+    "pyproject.toml",
+    "README.md",
+    "LICENSE",
+)
 EXTRAS = "opcua,postgres"
 """Optional dependencies that a plant may want for the service; a cluster for studies belongs on another computer."""
 TESTS_OF = ("matplotlib", "mpl_toolkits", "numpy", "pandas", "scipy")

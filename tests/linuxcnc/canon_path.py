@@ -1,6 +1,6 @@
 """Path of a program as LinuxCNC's own interpreter executes it: `rs274 -g` prints the calls of its canonical machine.
 
-It shares nothing with `twin.compensation.gcode`. Positions are axis positions in mm.
+It shares nothing with `gcode`. Positions are axis positions in mm.
 """
 
 from __future__ import annotations

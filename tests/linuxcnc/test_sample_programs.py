@@ -13,8 +13,8 @@ from requirements import skip_if_missing
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import cKDTree
 
-from twin.compensation.gcode.correction import correct_program
-from twin.compensation.gcode.setup import SYSTEMS, CorrectionOptions, PartSetup
+from gcode.correction import correct_program
+from gcode.setup import SYSTEMS, CorrectionOptions, PartSetup
 from twin.compensation.table import Anchor, CompensationTable, regular_nodes
 from twin.errors import FormatError
 

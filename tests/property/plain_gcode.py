@@ -1,6 +1,6 @@
 """Independent G-code interpreter, written from RS-274/NGC (NISTIR 6556) and the manuals of LinuxCNC and Grbl.
 
-It shares nothing with `twin.compensation.gcode`: words are read character by character, arcs are complex numbers
+It shares nothing with `gcode`: words are read character by character, arcs are complex numbers
 rotated about their centre, and the result is the dense path of commanded axis positions.
 """
 

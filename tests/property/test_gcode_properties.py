@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from plain_gcode import PlainController, dense, ends, far, path
 from scipy.interpolate import RegularGridInterpolator
 
-from twin.compensation.gcode.correction import correct_program
-from twin.compensation.gcode.setup import CorrectionOptions, PartSetup
+from gcode.correction import correct_program
+from gcode.setup import CorrectionOptions, PartSetup
 from twin.compensation.table import Anchor, CompensationTable
 
 NODES = (np.array([0.0, 90.0, 200.0, 350.0, 500.0]), np.array([0.0, 130.0, 300.0]), np.array([0.0, 70.0, 150.0, 250.0]))

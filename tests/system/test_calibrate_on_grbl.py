@@ -21,7 +21,7 @@ from click.testing import CliRunner
 from test_demo_command import CONFIG, bad_machine, short_settings
 
 from drivers.serial_cnc.bank_files import BankFiles
-from drivers.serial_cnc.correction import Correction
+from drivers.serial_cnc.store import Correction
 from simulators.cli import simulate
 from simulators.scenario import read_scenario
 from simulators.world.world import World

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ("agent", "drivers", "simulators", "twin", "volcal")
+PACKAGES = ("agent", "drivers", "gcode", "simulators", "twin", "volcal")
 SOURCES = (*PACKAGES, "config", "pyproject.toml", "README.md", "LICENSE")
 COMMAND = "import sys; from agent.cli.main import main; sys.argv[0] = 'volcal'; main()"
 POSITIONS = "station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n"

@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 
+from agent.results.estimation import travel_parts
 from agent.results.travel_parts import TravelPart, TravelParts
-from agent.results.travel_summary import travel_parts
 from campaigns.foreign.artefact import S3, measure, tilted_bar
 from campaigns.foreign.machine import TOOL, foreign_machine
 from campaigns.foreign.score import family_of

@@ -29,6 +29,7 @@ class Offence:
 
 OFFENCES = (
     Offence("floors", "twin/errors.py", "agent.files"),
+    Offence("floors", "twin/errors.py", "gcode.setup"),
     Offence("floors", "simulators/scenario.py", "agent.files"),
     Offence("library", "volcal/__init__.py", "drivers.errors"),
     Offence("agent-rooms", "agent/settings/load.py", "agent.runs.session"),
@@ -38,6 +39,7 @@ OFFENCES = (
     Offence("identification-checks", "twin/identification/checks/outliers.py", "twin.identification.estimate"),
     Offence("service-rooms", "agent/service/state/archive.py", "agent.service.owner"),
     Offence("endpoints", "agent/service/gateway/__init__.py", "agent.service.opcua"),
+    Offence("mathematics", "gcode/setup.py", "socket"),
     Offence("mathematics", "twin/arrays.py", "time"),
     Offence("drivers", "drivers/modbus_cnc/__init__.py", "drivers.linuxcnc"),
     Offence("driver-vocabulary", "drivers/clock.py", "drivers.registry"),

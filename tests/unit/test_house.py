@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-ROOMS = ("agent", "benchmarks", "campaigns", "drivers", "simulators", "twin", "volcal")
+ROOMS = ("agent", "benchmarks", "campaigns", "drivers", "gcode", "simulators", "twin", "volcal")
 MOST_MODULES = 25
 SMALL_LINES = 40
 
@@ -24,26 +24,14 @@ SMALL = {
         "drivers.serial_cnc.plugin",
     ),
     "one module a command, found by its name": ("agent.cli.service_commands.serve",),
-    "one module a group of HTTP endpoints": ("agent.service.http.diagnostics",),
     "one module a table format": ("twin.compensation.controllers.gcode_csv", "twin.compensation.controllers.neutral"),
-    "one module a figure": ("agent.reports.page.probe_figure",),
     "a program of its own": ("agent.service.http.description", "campaigns.fortnight.serving"),
     "a role, apart from the processes that play it": ("agent.reports.renderer",),
     "the only module that knows every endpoint of the service": ("agent.service.daemon.extensions",),
     "sqlite3 is confined to the journal's own modules": ("agent.execution.journal_copy",),
-    "SQL stands apart from the reader, beside the schema": ("agent.execution.journal_queries",),
-    "a calculation with tests of its own": (
-        "agent.probing.paths.ball_order",
-        "agent.reports.page.position_naming",
-        "agent.results.volumetric_summary",
-        "drivers.linuxcnc.compensation.reduction",
-        "twin.machine.motion_uncertainty",
-    ),
+    "a calculation with tests of its own": ("twin.machine.motion_uncertainty",),
     "it logs, and the rest of its room does not": ("agent.history.feed",),
     "one step of the run, beside its siblings": ("agent.runs.resume.abandon",),
-    "the choice among the stores, above all of them": ("drivers.linuxcnc.compensation.factory",),
-    "settings stand apart from the driver that reads them": ("drivers.serial_cnc.tape.settings",),
-    "a thread of its own": ("drivers.modbus_cnc.heartbeat",),
     "files only; its caller starts processes": ("simulators.linuxcnc.work",),
     "all bad plans, for the campaign and for its test": ("campaigns.bad_plans.catalogue",),
 }

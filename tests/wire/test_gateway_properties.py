@@ -18,13 +18,12 @@ from agent.service.gateway.access import AccessCode
 from agent.service.gateway.command_block import FIRST, SIZE
 from agent.service.gateway.command_handler import CommandHandler
 from agent.service.gateway.frames import answer_request
-from agent.service.gateway.gateway import Gateway
+from agent.service.gateway.gateway import Gateway, GatewayFacts, status_image
 from agent.service.gateway.heartbeat import Heartbeats
 from agent.service.gateway.register_codec import number_words, plain_text, text_words, whole_number
 from agent.service.gateway.registers import BLOCKS, COMMAND, PACKML_NUMBERS, STATE_NUMBERS, STATUS, Form
 from agent.service.gateway.sequence_ledger import SequenceLedger, next_sequence
 from agent.service.gateway.session import PanelSession
-from agent.service.gateway.status_registers import GatewayFacts, status_image
 
 CODE = 77
 FREE = {"hold", "abort"}

@@ -22,8 +22,7 @@ from drivers.modbus_cnc.settings import ModbusCncSettings
 from drivers.roles import TableImage, Touch
 from simulators.wire.modbus.controller import attach_registers
 from simulators.wire.modbus.frames import answer_request
-from simulators.wire.modbus.rtu import LineSettings, ModbusRtuController
-from simulators.wire.modbus.rtu_frames import InvalidFrameError, frame_crc, take_request
+from simulators.wire.modbus.rtu import InvalidFrameError, LineSettings, ModbusRtuController, frame_crc, take_request
 from simulators.wire.shared_world import SharedWorld
 
 READ_PROTOCOL = framed("01 03 03E8 0002")

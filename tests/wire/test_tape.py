@@ -12,9 +12,15 @@ from hypothesis import strategies as st
 from drivers.clock import VirtualClock
 from drivers.errors import DeadlineExpired, LinkLost, LinkTimeout, ProtocolError, ReadBackMismatch
 from drivers.serial_cnc.tape.blocks import TapeError, differences, parse_tape
-from drivers.serial_cnc.tape.characters import DeviceControl, ParityFault, decode, encode, encode_control
-from drivers.serial_cnc.tape.settings import TapeSettings
-from drivers.serial_cnc.tape.transfer import PunchRead
+from drivers.serial_cnc.tape.transfer import (
+    DeviceControl,
+    ParityFault,
+    PunchRead,
+    TapeSettings,
+    decode,
+    encode,
+    encode_control,
+)
 from simulators.wire.tape.controller import Mode, TapeCnc
 
 MANUAL = "%\nN00000P00001100\nN00002P00000000\nN09162P00000000\nN09163P00000000\n%\n"

@@ -83,7 +83,7 @@ def compare_with_nights_before(
     *,
     nights: float = 1.0,
     options: Options | None = None,
-    false_alarm: float = FALSE_ALARM,
+    night_false_alarm: float = FALSE_ALARM,
 ) -> NightFit:
     """Compare measured ball centres, without outliers, with the estimate `known` of an earlier night.
 
@@ -106,7 +106,7 @@ def compare_with_nights_before(
         chances.append(drift.probability_of_larger(widened))
         learned = drift.posterior(widened)
     probability = min(1.0, len(chances) * min(chances))  # Bonferroni
-    fits = probability >= false_alarm
+    fits = probability >= night_false_alarm
     if not fits and drift.informative:
         learned = drift.posterior(DriftFactor(expected.value))  # a sudden change has a size of its own
     prior = replace(known, drift_factor=learned).after(process_noise, nights)

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from agent.figures.heading import subject
-from agent.figures.study_style import headed, picture
+from agent.figures.style import headed, picture
 from agent.files import write_all_atomically
 from agent.planning.design.design_result import DesignResult
 from agent.planning.design.pareto_figure import ReferenceSet, draw_front

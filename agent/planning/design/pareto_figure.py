@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
-from agent.figures.study_style import BLUE, GREEN, INK, ORANGE, from_zero
+from agent.figures.style import BLUE, GREEN, INK, ORANGE, from_zero
 from agent.planning.design.pareto_front import FrontPoint
 
 

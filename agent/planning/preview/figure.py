@@ -19,7 +19,7 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 from scipy.spatial import ConvexHull
 
-from agent.figures.study_style import AMBER, BLUE, GREEN, INK, PURPLE, QUIET, SKY, picture
+from agent.figures.style import AMBER, BLUE, GREEN, INK, PURPLE, QUIET, SKY, picture
 from agent.planning.preview.scene import ArtefactPlacement, Preview
 from twin.arrays import Array
 from twin.collision.bodies import Body

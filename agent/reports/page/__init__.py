@@ -8,13 +8,12 @@ from agent.reports.page.data import (
     Provenance,
     QuestionFacts,
     ReportData,
-    ReportedEstimate,
     RunFacts,
     TemperatureTrace,
     VerificationFacts,
     VerifiedPosition,
+    name_of_positions,
 )
-from agent.reports.page.position_naming import name_of_positions
 
 __all__ = [
     "EventLine",
@@ -24,7 +23,6 @@ __all__ = [
     "Provenance",
     "QuestionFacts",
     "ReportData",
-    "ReportedEstimate",
     "RunFacts",
     "TemperatureTrace",
     "VerificationFacts",

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.figures.report_style import BAND_OPACITY, BLUE, INK, ORANGE, Drawing
+from agent.figures.style import BAND_OPACITY, BLUE, INK, ORANGE, Drawing
 from agent.reports.page.error_curves import ErrorCurve
 from twin.machine.kinematic_chain import AXES
 

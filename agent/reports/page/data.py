@@ -8,47 +8,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, Self
+from itertools import combinations, product
+from typing import Self, TypeAlias
 
+from agent.reports.journal_estimate import JournalEstimate
 from agent.results.facts import ArtefactFacts, ProbeFacts, Quantity, TableFacts, VolumetricSummary
 from agent.results.gates import Gate
 from agent.results.thermometer import ThermometerFacts
 from agent.results.travel_parts import TravelParts
 from twin.arrays import Array
-from twin.artefact.artefact_calibration import ArtefactCalibration
 from twin.artefact.observations import Observations
-from twin.artefact.position_set import Position
-from twin.identification import BallCheck, Estimate, FieldKnowledge, Scales
+from twin.artefact.position_set import POSITION_SETS, Position, set_orientations
+from twin.identification import Estimate
 
-
-class ReportedEstimate(FieldKnowledge, Protocol):
-    """Interface of an estimate of the machine's errors with the properties that a report shows. The estimate comes from
-    an identification that has just been made, or from the journal of a run."""
-
-    @property
-    def formulation(self) -> str: ...
-    @property
-    def parameters(self) -> Array: ...
-    @property
-    def standard_uncertainty(self) -> Array: ...
-    @property
-    def chi2_normalised(self) -> float: ...
-    @property
-    def degrees_of_freedom(self) -> float: ...
-    @property
-    def rejected(self) -> tuple[tuple[int, int, int], ...]: ...
-    @property
-    def scales(self) -> Scales: ...
-    @property
-    def rank(self) -> int: ...
-    @property
-    def conditioning(self) -> float: ...
-    @property
-    def null_summary(self) -> tuple[str, ...]: ...
-    @property
-    def certificate_check(self) -> tuple[BallCheck, ...]: ...
-    @property
-    def artefact_calibration(self) -> ArtefactCalibration | None: ...
+ReportedEstimate: TypeAlias = Estimate | JournalEstimate
+"""Estimate of the machine's errors that has just been made, or that was read from the journal of a run."""
+SAME_ANGLE_DEG = 0.01
+SIDES_DEG = (0.0, 90.0, 180.0, -90.0)
 
 
 @dataclass(frozen=True)
@@ -241,3 +217,27 @@ class ReportData:
     gates: tuple[Gate, ...] = ()
     warnings: tuple[str, ...] = ()
     run: RunFacts = RunFacts()
+
+
+def name_of_positions(positions: Sequence[Position]) -> str:
+    """Return a name for a list of positions.
+
+    The name is, for example, `S3, 4 stations` if every station has the orientations of the standard set S3, with the
+    holders of the bar towards any of the four sides. The name may combine several sets. If no combination fits, the
+    name states the number of positions.
+    """
+    stations: dict[int, set[tuple[float, float]]] = {}
+    for position in positions:
+        stations.setdefault(position.station, set()).add((position.azimuth_deg, position.elevation_deg))
+    known = [names for count in range(1, len(POSITION_SETS) + 1) for names in combinations(POSITION_SETS, count)]
+    for names, facing_deg in product(known, SIDES_DEG):
+        wanted = {pair for name in names for pair in set_orientations(name, facing_deg)}
+        if all(_same(found, wanted) for found in stations.values()):
+            return f"{'+'.join(names)}, {len(stations)} station{'s' if len(stations) != 1 else ''}"
+    return f"{len(positions)} user-defined positions"
+
+
+def _same(found: set[tuple[float, float]], wanted: set[tuple[float, float]]) -> bool:
+    return len(found) == len(wanted) and all(
+        any(abs(a - c) < SAME_ANGLE_DEG and abs(b - d) < SAME_ANGLE_DEG for c, d in wanted) for a, b in found
+    )

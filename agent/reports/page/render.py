@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from importlib import resources
+from typing import Any
 
+import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup
 
-from agent.reports.page.data import ReportData
+from agent.reports.page import identification_sections, run_sections
+from agent.reports.page.data import IdentificationData, ReportData
 from agent.reports.page.figures import report_figures
-from agent.reports.page.page import page_values
+from agent.reports.page.identity import identity, tiles, validity
+from agent.reports.page.number_format import plural
 from agent.reports.page.texts import ENGLISH, Texts
+
+GOOD_STATES = ("complete", "idle", "held")
 
 
 def render_report(data: ReportData, texts: Texts = ENGLISH) -> str:
@@ -30,3 +36,61 @@ def render_report(data: ReportData, texts: Texts = ENGLISH) -> str:
         **page_values(data, texts),
         **figures,
     )
+
+
+def page_values(data: ReportData, t: Texts) -> dict[str, Any]:
+    """Return all values that the template uses, except the figures."""
+    failed = [gate for gate in data.gates if not gate.passed]
+    proof, night, header = data.run.verification, data.run.night, data.header
+    good = header.state in GOOD_STATES and not failed and (proof is None or proof.accepted)
+    state = header.state
+    if failed:
+        state = t["gates_failed"].format(state=state, gates=plural(len(failed), "gate"))
+    return {
+        "t": t,
+        "header": header,
+        "machine": data.machine,
+        "date": header.timestamp.replace("T", " ")[:16] + " UTC",
+        "state": state,
+        "good": good and (night is None or night.good),
+        "reason": data.run.reason,
+        "tiles": tiles(data, t),
+        "identity": identity(data),
+        "warnings": data.warnings,
+        "verification": run_sections.verification(proof, t),
+        "night": run_sections.night(night, t),
+        "probe": data.run.probe.rows if data.run.probe else (),
+        "temperature_note": run_sections.temperature_note(data.artefact, _temperatures(data)),
+        "gates": run_sections.gates(data),
+        "consents": run_sections.consents(data, t),
+        "inputs": run_sections.inputs(data.run.provenance, t),
+        "events": run_sections.events(data, t),
+        "signatures": run_sections.signatures(t),
+        "identification": None if data.identification is None else _identification(data, data.identification, t),
+    }
+
+
+def _identification(data: ReportData, identification: IdentificationData, t: Texts) -> dict[str, Any]:
+    """Return the values of the sections that need an estimate."""
+    return {
+        "summary": identification_sections.summary_table(data, identification, t),
+        "travel": identification_sections.travel_table(identification, t),
+        "validity": validity(data, identification),
+        "squareness": identification_sections.squareness(identification),
+        "residual_note": identification_sections.residual_note(identification),
+        "rejected": identification_sections.rejected(identification),
+        "fit": identification_sections.fit(identification),
+        "calibration": identification_sections.artefact_calibration(identification.estimate.artefact_calibration),
+        "null_intro": identification_sections.null_intro(identification),
+        "null_directions": identification.estimate.null_summary,
+        "table": identification_sections.table_rows(identification),
+        "parameters": identification_sections.parameters(identification),
+    }
+
+
+def _temperatures(data: ReportData) -> np.ndarray:
+    """Return all measured temperatures of the artefact in °C."""
+    if data.identification is not None:
+        return data.identification.observations.temperature_c
+    traces = [trace.temperature_c for trace in data.run.temperatures if trace.name == "artefact"]
+    return np.concatenate(traces) if traces else np.empty(0)

@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from agent.figures.report_style import BLUE, GREEN, INK, ORANGE, Drawing
+from agent.figures.style import BLUE, GREEN, INK, ORANGE, Drawing
 from twin.arrays import Array
 
 Indices = NDArray[np.int64]

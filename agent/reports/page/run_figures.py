@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from agent.figures.report_style import BLUE, GREEN, INK, ORANGE, PURPLE, Drawing, Margins
+from agent.figures.style import BLUE, GREEN, INK, ORANGE, PURPLE, Drawing, Margins
 from agent.reports.page.data import TemperatureTrace, VerifiedPosition
 
 MAX_UPRIGHT = 8

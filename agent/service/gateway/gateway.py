@@ -8,14 +8,29 @@ from typing import Literal
 
 import structlog
 
+from agent.execution.states import FINAL, RunState
 from agent.service.control import Control, Status
 from agent.service.gateway.access import AccessCode
 from agent.service.gateway.command_handler import CommandHandler
 from agent.service.gateway.heartbeat import Heartbeats
-from agent.service.gateway.status_registers import GatewayFacts, status_image
+from agent.service.gateway.register_codec import number_words, text_words
+from agent.service.gateway.registers import (
+    FLAGS,
+    KIND_NUMBERS,
+    MAP_VERSION,
+    MAY,
+    PACKML_NUMBERS,
+    STATE_NUMBERS,
+    STATUS,
+    UNKNOWN,
+    Form,
+    Result,
+)
 from drivers.errors import VolcalError
 
 log = structlog.get_logger()
+_AT_REST = FINAL | {RunState.IDLE, RunState.WRITTEN}
+_UNKNOWN_WORD = UNKNOWN[Form.U16]
 
 
 @dataclass(frozen=True)
@@ -74,3 +89,89 @@ class Gateway:
         except Exception:
             log.exception("status not available")
             return None
+
+
+@dataclass(frozen=True)
+class GatewayFacts:
+    """Values of those status registers that describe the gateway itself. The status of the service does not contain
+    them."""
+
+    heartbeat: int = 0
+    panel_alive: bool = False
+    access_code_set: bool = False
+    accepted_sequence: int = 0
+    result: int = Result.NONE
+
+
+def status_image(status: Status, facts: GatewayFacts) -> tuple[int, ...]:
+    """Return the content of the whole block of status registers, given the status of the service and `facts`, the
+    values that describe the gateway itself."""
+    values = {**_run_values(status), **_waiting_values(status), **_gateway_values(status, facts)}
+    words: list[int] = []
+    for register in STATUS:
+        value = values[register.name]
+        words += text_words(register, value) if isinstance(value, str) else number_words(register, value)
+    return tuple(words)
+
+
+def _run_values(status: Status) -> dict[str, float | str | None]:
+    return {
+        "state": STATE_NUMBERS.get(status.state, _UNKNOWN_WORD),
+        "packml_state": PACKML_NUMBERS.get(status.packml, 0),
+        "kind": KIND_NUMBERS.get(status.kind or "", 0),
+        "progress": 10000 * status.fraction,
+        "minutes_left": _scaled(100, status.minutes_left),
+        "ve_before": _scaled(1000, status.ve_before_um),
+        "ve_now": _scaled(1000, status.ve_now_um),
+        "balls": status.balls,
+        "touches": status.touches,
+        "active_bank": status.active_bank,
+        "position_set": status.position_set or "",
+        "run": status.run_id or "",
+        "doing": status.doing,
+    }
+
+
+def _waiting_values(status: Status) -> dict[str, float | str | None]:
+    """Return the values that require action, by register name: the alarms, the open question, and the bank that is
+    written but not active.
+    """
+    question = status.question
+    codes = [alarm.code for alarm in status.alarms[:4]] + [0] * 4
+    return {
+        "may": _bits(MAY, status.may),
+        "bank_waiting": status.written_not_active,
+        "alarm_count": len(status.alarms),
+        **{f"alarm_{place}": codes[place - 1] for place in range(1, 5)},
+        "alarm_text": status.alarms[0].text if status.alarms else "",
+        "question_number": question.number if question else 0,
+        "question_station": question.station if question else None,
+        "question_text": question.text if question else "",
+    }
+
+
+def _gateway_values(status: Status, facts: GatewayFacts) -> dict[str, float | str | None]:
+    holds = {
+        "running": status.state not in _AT_REST,
+        "alarm": bool(status.alarms),
+        "question": status.question is not None,
+        "bank_waiting": status.written_not_active is not None,
+        "unfinished_run": status.unfinished is not None,
+        "panel_alive": facts.panel_alive,
+        "access_code_set": facts.access_code_set,
+    }
+    return {
+        "map_version": MAP_VERSION,
+        "heartbeat": facts.heartbeat & 0xFFFF,
+        "flags": _bits(FLAGS, frozenset(name for name, true in holds.items() if true)),
+        "accepted_sequence": facts.accepted_sequence,
+        "result": facts.result,
+    }
+
+
+def _bits(names: tuple[str, ...], set_ones: frozenset[str]) -> int:
+    return sum(1 << place for place, name in enumerate(names) if name in set_ones)
+
+
+def _scaled(factor: float, value: float | None) -> float | None:
+    return None if value is None else factor * value

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt
 
 from agent.execution.states import RunState
 from agent.runs.run_request import RunRequest
-from agent.service.control import Question, Status
+from agent.service.control import Status
 
 
 class RequestBody(BaseModel):
@@ -98,10 +97,6 @@ class QuestionView(BaseModel):
     station: int | None
     placement: PlacementView | None = None
 
-    @classmethod
-    def of(cls, question: Question) -> QuestionView:
-        return cls.model_validate(dataclasses.asdict(question))
-
 
 class StatusView(BaseModel):
     """Status of the service, with the fields of `agent.service.control.Status`. `event` is the number of the last event
@@ -188,11 +183,4 @@ class TableList(BaseModel):
 
 
 def status_view(status: Status, event: int) -> StatusView:
-    question = status.question
-    alarms = [AlarmView(code=a.code, text=a.text, hint=a.hint, where=dict(a.where)) for a in status.alarms]
-    replaced = {
-        "question": None if question is None else QuestionView.of(question),
-        "alarms": alarms,
-        "may": sorted(status.may),
-    }
-    return StatusView(**{**vars(status), **replaced, "event": event})
+    return StatusView.model_validate({**vars(status), "may": sorted(status.may), "event": event}, from_attributes=True)

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from agent.service.control import BallToPlace, Placement, Question
+from agent.service.control import Question
 from drivers.clock import Clock, Deadline
 from drivers.errors import PermissionMissing, UserError
 from drivers.roles import OperatorRequest, PlacementRequest
@@ -29,7 +29,7 @@ class Questions:
     def open(self) -> Question | None:
         return self._open
 
-    def ask(self, text: str, station: int | None, placement: Placement | None = None) -> Question:
+    def ask(self, text: str, station: int | None, placement: PlacementRequest | None = None) -> Question:
         with self._lock:
             self._number += 1
             question = self._open = Question(self._number, text, station, placement)
@@ -82,7 +82,8 @@ class ServiceOperator:
                 hint="the run was started without consent; start it with an operator at the machine",
             )
         deadline = Deadline.after(self.clock, self.within_minutes * S_PER_MIN)
-        self.questions.ask(request.text, request.station, _placement(request))
+        placement = request if isinstance(request, PlacementRequest) else None
+        self.questions.ask(request.text, request.station, placement)
         outcome = "not answered"
         try:
             while (answer := self.questions.given_answer()) is None:
@@ -96,10 +97,3 @@ class ServiceOperator:
             return answer
         finally:
             self.questions.close(outcome)
-
-
-def _placement(request: OperatorRequest) -> Placement | None:
-    if not isinstance(request, PlacementRequest):
-        return None
-    balls = tuple(BallToPlace(one.ball, one.position_mm) for one in request.balls)
-    return Placement(request.azimuth_deg, request.elevation_deg, balls, request.refused, request.refused_ball)

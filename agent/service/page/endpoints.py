@@ -18,11 +18,29 @@ from agent.runs.kinds.restoration import TableRole, stored_table
 from agent.service.http.app_state import AppStateDependency
 from agent.service.http.problems import DOCUMENTED
 from agent.service.page.result_cache import ResultCache
-from agent.service.page.set_value import SetValueCache
-from agent.service.page.tables import table_csv, table_difference
 
 if TYPE_CHECKING:
     from agent.service.page.trends import TrendCache
+from threading import Lock
+
+import numpy as np
+
+from agent.execution.encoding import table_digest
+from agent.files import translated
+from agent.planning.cycle_time import machine_minutes
+from agent.planning.job import Job
+from agent.planning.planning_options import planning_options
+from agent.results.table_image import table_of
+from drivers.errors import ConfigurationError, InputError
+from drivers.roles import TableImage
+from twin.arrays import Array
+from twin.artefact.position_set import Position
+from twin.compensation.table_file import format_table
+from twin.design.candidates import CandidatePositions, build_candidates
+from twin.design.valuation import Valuation
+from twin.machine.kinematic_chain import AXES
+from twin.machine.volumetric import evaluation_grid
+from twin.units import UM_PER_MM
 
 Document = dict[str, Any]
 REPORT_TYPES = {"html": "text/html", "pdf": "application/pdf"}
@@ -86,3 +104,125 @@ def _trend_cache() -> TrendCache:
     from agent.service.page.trends import TrendCache  # noqa: PLC0415
 
     return TrendCache()
+
+
+def table_csv(image: TableImage | None, tool_offset_mm: Array, run_id: str, role: str) -> str:
+    """Return a stored table as CSV text. Raise InputError if `image` is None, which means that bank 0, without a table,
+    was active when the run stored this entry."""
+    if image is None:
+        raise InputError(f"run {run_id} stored no table as {role}", hint="bank 0 contains no table")
+    return format_table(table_of(image, tool_offset_mm))
+
+
+def table_difference(one: TableImage | None, other: TableImage | None) -> Document:
+    """Return a document with the difference `other` minus `one` over all nodes of the grid, in µm.
+
+    For each axis the document contains the largest difference, its location and the rms difference. A table that is
+    None counts as zero. Raise InputError if the tables have different grids.
+    """
+    image = other if one is None else one
+    if image is None:
+        return {"same": True, "nodes": 0, "axes": [], "crc32": [None, None]}
+    if one is not None and other is not None and not _same_grid(one, other):
+        raise InputError(
+            "the two tables have different grids",
+            hint="save both as files and compare the corrections at common nodes",
+        )
+    change = _corrections(other, image) - _corrections(one, image)
+    return {
+        "same": not change.any(),
+        "nodes": int(np.prod(image.shape)),
+        "axes": [_axis(change[..., axis], image, AXES[axis]) for axis in range(len(AXES))],
+        "crc32": [None if table is None else f"{table_digest(table):08x}" for table in (one, other)],
+    }
+
+
+def _axis(change: Array, image: TableImage, axis: str) -> Document:
+    place = np.unravel_index(int(np.abs(change).argmax()), change.shape)
+    at = [o + s * float(n) for o, s, n in zip(image.origin_mm, image.step_mm, place, strict=True)]
+    return {
+        "axis": axis,
+        "largest_um": float(change[place]),
+        "at_mm": at,
+        "rms_um": float(np.sqrt(np.mean(change**2))),
+    }
+
+
+def _corrections(table: TableImage | None, like: TableImage) -> Array:
+    """Return the corrections in µm as an array of shape (nx, ny, nz, 3). If `table` is None, they are zeros on the grid
+    of `like`.
+    """
+    if table is None:
+        return np.zeros((*like.shape, 3))
+    return UM_PER_MM * table.resolution_mm * table.counts.astype(np.float64)
+
+
+def _same_grid(one: TableImage, other: TableImage) -> bool:
+    return (one.shape, one.origin_mm, one.step_mm) == (other.shape, other.origin_mm, other.step_mm)
+
+
+class SetValueCache:
+    """Cache of the document that `set_value_document` computed last. It is safe to use from any thread."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._cached: tuple[str, Document] | None = None
+
+    def document(self, job: Job) -> Document:
+        """Return the document of `set_value_document` for `job`. Raise ConfigurationError if no position of the set is
+        reachable."""
+        key = job.settings.model_dump_json()
+        with self._lock:
+            if self._cached is None or self._cached[0] != key:
+                self._cached = (key, set_value_document(job))
+            return self._cached[1]
+
+
+def set_value_document(job: Job) -> Document:
+    """Return a document with the expected benefit of measuring the position set of `job`.
+
+    `before_um` and `after_um` are the volumetric errors expected for the machine family (the population from which the
+    machine comes) before and after the set has been measured. They are in µm, after the best-fitting rigid motion is
+    removed. `lost_um` of a position is the amount, in µm, by which `after_um` would be larger without this position.
+    """
+    with translated(ConfigurationError, key="procedure.position_set"):
+        candidates = build_candidates(
+            job.procedure,
+            job.positions,
+            job.machine.family,
+            planning_options(job.settings.temperature),
+            evaluation_grid(job.machine.model.ranges_mm),
+            job.tool_offset_mm,
+        )
+    everything = range(candidates.count)
+    worth = Valuation(candidates.vce([]), candidates.vce(everything))
+    after_um = worth.after.aligned_um
+    return {
+        "position_set": job.settings.procedure.position_set.rpartition("/")[2],
+        "minutes": machine_minutes(job, candidates.positions).total,
+        "balls": int(candidates.balls.sum()),
+        "before_um": worth.before.aligned_um,
+        "after_um": after_um,
+        "percent": worth.percent,
+        "positions": [_position(candidates, index, after_um) for index in everything],
+        "held_out": [_position_fields(position) for position in job.held_out],
+        "out_of_reach": [_position_fields(p) for p in dict.fromkeys(job.positions) if p not in candidates.positions],
+    }
+
+
+def _position(candidates: CandidatePositions, index: int, after_um: float) -> Document:
+    others = [other for other in range(candidates.count) if other != index]
+    return {
+        **_position_fields(candidates.positions[index]),
+        "balls": int(candidates.balls[index]),
+        "lost_um": candidates.vce(others).aligned_um - after_um,
+    }
+
+
+def _position_fields(position: Position) -> Document:
+    return {
+        "station": position.station,
+        "azimuth_deg": position.azimuth_deg,
+        "elevation_deg": position.elevation_deg,
+        "tool": position.tool,
+    }

@@ -7,27 +7,38 @@ It sends DC3 at the end. The operator starts both transfers at the controller; t
 
 Source: FANUC B-63503EN/02, section 5.3, for the meaning of DC1 to DC4. According to this section, DC3 stops a sender
 within ten characters.
+
+Tape characters: seven-bit ISO code with even parity in the eighth bit, and the four device controls.
+
+With its parity bit, the device control DC3 is 0x93. The XON/XOFF handshake of a serial driver recognises DC3 only as
+0x13. Package `tape` therefore handles flow control itself.
+
+Source: FANUC B-63503EN/02 (Series 0i connection manual, hardware), 5.3 "RS-232-C interface": one parity bit among
+eight, DC1 to DC4, two stop bits; ISO 646 for the characters.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NoReturn
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Annotated, Literal, NoReturn
+
+from pydantic import Field
 
 from drivers.clock import Clock, Deadline
 from drivers.errors import DeadlineExpired, LinkTimeout, ProtocolError, ReadBackMismatch
 from drivers.links.serial_port import SerialAddress, SerialPort
+from drivers.options import DriverOptions
 from drivers.serial_cnc.tape.blocks import MARK, Tape, TapeError, differences, parse_tape
-from drivers.serial_cnc.tape.characters import Character, DeviceControl, ParityFault, decode, encode, encode_control
-from drivers.serial_cnc.tape.settings import TapeSettings
 
 CHARACTERS_PER_WRITE = 8
 """Number of characters sent between two checks for DC3, which must stop the sender within ten characters."""
 BITS_OF_CHARACTER = 11
 POLL_S = 0.02
 MAX_SHOWN_DIFFERENCES = 5
-
 Announce = Callable[[str], None]
+Seconds = Annotated[float, Field(gt=0.0, le=3600.0)]
 
 
 class PunchRead:
@@ -209,3 +220,75 @@ class PunchRead:
         raise ProtocolError(
             text, hint="check baud, stop bits and cable; the controller must be set to ISO code", **self.where
         )
+
+
+class TapeSettings(DriverOptions):
+    """Settings of the serial line for tapes.
+
+    The defaults are those of the FANUC manuals: 4800 baud, eight bits including parity, two stop bits.
+    """
+
+    port: str = Field(min_length=1)
+    baud: int = Field(default=4800, ge=50, le=115200)
+    stop_bits: Literal[1, 2] = 2
+    operator_timeout_s: Seconds = Field(default=300.0, description="until READ or PUNCH is pressed at the controller")
+    max_pause_s: Seconds = Field(default=60.0, description="longest pause that the controller may request by DC3")
+    character_timeout_s: Seconds = Field(default=10.0, description="longest gap between two characters of a tape")
+    max_tape_length: int = Field(default=1_000_000, ge=100, description="characters")
+
+
+IGNORED = frozenset({0x00, 0x0D, 0x7F, 0x20})
+"""Characters without meaning on a tape: blank tape, carriage return, deleted (punched-out) character, space."""
+
+
+class DeviceControl(IntEnum):
+    """Codes of the device controls DC1 to DC4, without the parity bit."""
+
+    READER_START = 0x11
+    PUNCH_ON = 0x12
+    READER_STOP = 0x13
+    PUNCH_OFF = 0x14
+
+
+_CONTROLS = {control.value: control for control in DeviceControl}
+
+
+@dataclass(frozen=True)
+class ParityFault:
+    """Received byte with a parity error: the number of its set bits is odd."""
+
+    byte: int
+
+
+Character = str | DeviceControl | ParityFault
+
+
+def with_even_parity(byte: int) -> int:
+    """Return the seven-bit code `byte` with even parity in bit 7."""
+    return byte | (byte.bit_count() & 1) << 7
+
+
+def encode(text: str) -> bytes:
+    """Encode ASCII text as tape characters. Raises UnicodeEncodeError for other text."""
+    return bytes(with_even_parity(byte) for byte in text.encode("ascii"))
+
+
+def encode_control(control: DeviceControl) -> bytes:
+    return bytes((with_even_parity(control),))
+
+
+def decode(data: bytes) -> list[Character]:
+    """Decode tape bytes into characters, device controls and parity faults, one for each byte.
+
+    Bytes without meaning on a tape, such as blank tape and spaces, are omitted.
+    """
+    characters: list[Character] = []
+    for byte in data:
+        seven = byte & 0x7F
+        if with_even_parity(seven) != byte:
+            characters.append(ParityFault(byte))
+        elif seven in _CONTROLS:
+            characters.append(_CONTROLS[seven])
+        elif seven not in IGNORED:
+            characters.append(chr(seven))
+    return characters

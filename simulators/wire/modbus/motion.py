@@ -13,7 +13,6 @@ from typing import Final
 import numpy as np
 
 from drivers.roles import MotionState, Permission
-from simulators.wire.modbus.faults import WATCHED_FAULTS, fault_code, outcome_of
 from simulators.wire.modbus.physics import MovingMachine
 from simulators.wire.modbus.register_map import (
     FaultCode,
@@ -26,7 +25,6 @@ from simulators.wire.modbus.register_map import (
 
 HEARTBEAT_WITHIN_S: Final = 1.0
 TRAVEL_TOLERANCE_MM: Final = 1e-9
-
 PERMISSION_BITS: Final = (
     Permission.AUTOMATIC,
     Permission.DOORS_CLOSED,
@@ -36,13 +34,30 @@ PERMISSION_BITS: Final = (
     Permission.NO_FAULT,
     Permission.CONSENT,
 )
-
 STATE_OF: Final = {
     MotionState.IDLE: ModbusState.IDLE,
     MotionState.MOVING: ModbusState.MOVING,
     MotionState.HELD: ModbusState.HELD,
     MotionState.FAULT: ModbusState.FAULT,
 }
+WATCHED_FAULTS: Final = {
+    FaultCode.HEARTBEAT_LOST: "agent heartbeat lost",
+    FaultCode.DOOR_OPENED: "door opened while moving",
+    FaultCode.PERMISSION_LOST: "permission lost while moving",
+    FaultCode.PROBE_LOST: "probe lost while moving",
+}
+"""Faults that the register side detects, not the simulated machine, and the texts with which it reports them to the
+machine."""
+_FAULT_WORDS: Final = (
+    ("collision", FaultCode.COLLISION),
+    ("overload", FaultCode.COLLISION),
+    ("probe tripped", FaultCode.PROBE_TRIPPED),
+    ("emergency", FaultCode.EMERGENCY_STOP),
+    ("travel", FaultCode.END_OF_TRAVEL),
+    ("following", FaultCode.FOLLOWING_ERROR),
+    ("drive", FaultCode.DRIVE),
+    *((words, code) for code, words in WATCHED_FAULTS.items()),
+)
 
 
 @dataclass(frozen=True)
@@ -258,3 +273,24 @@ class MotionRegisters:
 
     def _probe_ready(self) -> bool:
         return self._machine.probe_loaded and self._machine.probe_healthy
+
+
+def fault_code(fault: str) -> FaultCode:
+    """Return the fault code of the Modbus register map for a fault text of the simulated machine, or 99 (other) if no
+    code matches.
+    """
+    words = fault.lower()
+    for marker, code in _FAULT_WORDS:
+        if marker in words:
+            return code
+    return FaultCode.OTHER
+
+
+def outcome_of(fault: FaultCode) -> ModbusOutcome:
+    """Return the outcome of a motion that ended with the fault code `fault`.
+
+    Fault codes and outcomes are those of docs/reference/modbus-register-map.md, tables 9.1 and 9.3.
+    """
+    if fault is FaultCode.PROBE_TRIPPED:
+        return ModbusOutcome.GUARD_TRIPPED
+    return ModbusOutcome.HEARTBEAT_LOST if fault is FaultCode.HEARTBEAT_LOST else ModbusOutcome.FAULT

@@ -25,9 +25,8 @@ from agent.runs.reconcile_result import CompensationState, ReconcileAction, Reco
 from agent.runs.run_context import RunHooks
 from agent.runs.session import RunResult
 from agent.service.owner.health import Health
-from agent.service.owner.machine_access import MachineAccess
 from agent.service.owner.owner import Owner
-from agent.service.owner.owner_parts import OwnerParts
+from agent.service.owner.owner_parts import MachineAccess, OwnerParts
 from agent.service.owner.unattended import Circumstances
 from agent.service.state.event_log import EventLog
 from agent.service.state.journal_state import JournalState

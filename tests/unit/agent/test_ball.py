@@ -10,8 +10,7 @@ import pytest
 from touched_ball import TouchedBall, ended
 
 from agent.execution import steps as s
-from agent.probing.ball import FittedBall, LostBall, measure_ball
-from agent.probing.ball_gates import doubtful_touches, pole_error_mm
+from agent.probing.ball import FittedBall, LostBall, doubtful_touches, measure_ball, pole_error_mm
 from agent.probing.probing_parameters import BallLimits, FastTouch, ProbingParameters, Search, Stylus
 from twin.artefact.sphere_fit import fit_sphere
 from twin.artefact.touch_pattern import approach_directions, known_radius_covariance

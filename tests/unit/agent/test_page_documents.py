@@ -15,9 +15,8 @@ from service_house import settings_document
 from agent.planning.design.set_valuation import valuation_of
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
+from agent.service.page.endpoints import set_value_document, table_csv, table_difference
 from agent.service.page.result_cache import ResultCache
-from agent.service.page.set_value import set_value_document
-from agent.service.page.tables import table_csv, table_difference
 from agent.service.page.trends import TrendCache
 from agent.settings.schema import Settings
 from drivers.errors import InputError

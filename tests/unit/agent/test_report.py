@@ -19,15 +19,15 @@ from agent.reports.page import (
     VerificationFacts,
     VerifiedPosition,
 )
+from agent.reports.page.data import name_of_positions
 from agent.reports.page.error_curves import cross_effect_curves, geometric_error_curves
 from agent.reports.page.number_format import fixed, micrometres, number
-from agent.reports.page.position_naming import name_of_positions
 from agent.reports.page.render import render_report
 from agent.reports.page.residual_figures import BallResiduals
 from agent.reports.page.workspace_maps import workspace_maps
+from agent.results.estimation import volumetric_summary
 from agent.results.facts import ArtefactFacts, Quantity, TableFacts, triple
 from agent.results.gates import Gate
-from agent.results.volumetric_summary import volumetric_summary
 from twin.artefact.artefact import ball_bar
 from twin.artefact.mount_geometry import MountGeometry
 from twin.artefact.observations import Observations

@@ -28,7 +28,7 @@ from agent.runs.run_request import RunRequest
 from agent.service.client import error_of
 from agent.service.daemon.main_loop import MainLoop
 from agent.service.daemon.sd_notify import Notifier
-from agent.service.http.diagnostics_archive import REMOVED, diagnostics_zip, without_secrets
+from agent.service.http.diagnostics import REMOVED, diagnostics_zip, without_secrets
 from agent.service.http.problems import problem_of
 from agent.service.owner.health import Health
 from agent.service.owner.questions import Questions, ServiceOperator
@@ -36,7 +36,7 @@ from agent.service.owner.run_hooks import RunHooksFactory
 from agent.service.owner.run_mailbox import RunMailbox
 from agent.service.owner.unattended import Circumstances, minutes_until_end, require_warm
 from agent.service.state.event_log import EventLog
-from agent.service.state.status_text import doing
+from agent.service.state.status_board import doing
 from agent.service.token import make_token, read_token, token_path
 from agent.settings.schema import Settings
 from agent.settings.service import ServiceSettings

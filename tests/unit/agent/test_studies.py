@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from agent.figures.study_style import picture
+from agent.figures.style import picture
 from agent.files import check_folder
 from agent.planning.case_file import CASE_STUDY, load_case
 from agent.studies import STUDIES, monte_carlo

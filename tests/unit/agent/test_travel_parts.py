@@ -10,8 +10,8 @@ import pytest
 
 from agent.cli.printing import travel_rows
 from agent.planning.case_file import CASE_STUDY, load_case
+from agent.results.estimation import travel_parts
 from agent.results.travel_parts import TravelPart, TravelParts
-from agent.results.travel_summary import travel_parts
 from twin.compensation.table import MeasuredRegion
 from twin.design.measurement_setup import AS_STATED
 from twin.identification import Estimate, expected_rms, field_uncertainty, identify, predicted_vce, regional_forms

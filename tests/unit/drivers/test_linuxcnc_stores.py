@@ -10,7 +10,7 @@ import pytest
 from drivers.clock import VirtualClock
 from drivers.errors import ChecksumMismatch, CommandRejected, DeadlineExpired, LinkLost, StoreError
 from drivers.linuxcnc.compensation import CompensationSettings, LinuxCncStore, create_store
-from drivers.linuxcnc.compensation.reduction import own_axis_part
+from drivers.linuxcnc.compensation.comp_files import own_axis_part
 from drivers.linuxcnc.pins import PinValue
 from drivers.roles import TableImage
 from drivers.tables.text import counts_crc32, parse_table

@@ -14,8 +14,8 @@ from pydantic import ValidationError
 from drivers.clock import VirtualClock
 from drivers.errors import LinkLost
 from drivers.modbus_cnc.codec import NumberFormat, RegisterField, RegisterLayout
-from drivers.modbus_cnc.heartbeat import PeerHeartbeat
 from drivers.modbus_cnc.plugin import PLUGIN
+from drivers.modbus_cnc.session import PeerHeartbeat
 from drivers.modbus_cnc.settings import BlockAddresses, ModbusCncSettings
 from drivers.registry import ENTRY_POINT_GROUP, DeviceContext
 from drivers.straight_move import move_duration_s

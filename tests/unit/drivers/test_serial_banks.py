@@ -13,8 +13,7 @@ from serial_rig import rig
 
 from drivers.errors import ChecksumMismatch, CommandRejected, StoreError
 from drivers.roles import TableImage, Touch
-from drivers.serial_cnc.correction import Correction
-from drivers.serial_cnc.store import MAX_SLOPE
+from drivers.serial_cnc.store import MAX_SLOPE, Correction
 from simulators.world.field import TableField
 
 SHAPE = (5, 3, 4)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from worlds import ideal_world
 
-from simulators.world.turn_clearance import is_turn_clear
-from simulators.world.turn_collisions import first_turn_crash
+from simulators.world.turn_collisions import first_turn_crash, is_turn_clear
 from simulators.world.world import World
 from twin.collision.geometry import Point, point, translate_point
 

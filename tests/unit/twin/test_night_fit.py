@@ -124,7 +124,7 @@ def test_false_alarms_are_rare_if_the_machine_walks_as_stated(first: Estimate) -
         drawn = rng.multivariate_normal(truth.mean, truth.covariance)
         change = SIGMA * drawn[: MODEL.size] - TRUTH + WALK * rng.normal(size=MODEL.size)
         seen = night("S3", 100 + number, change)
-        found = compare_with_nights_before(FAMILY, seen, BAR, truth, WALK, false_alarm=0.05)
+        found = compare_with_nights_before(FAMILY, seen, BAR, truth, WALK, night_false_alarm=0.05)
         alarms += not found.fits
     assert alarms <= 12  # 5 % on average; the machine is drawn from what is known about it
 

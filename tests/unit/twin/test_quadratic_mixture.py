@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from twin.uncertainty.quadratic_distribution import QuadraticDistribution
-from twin.uncertainty.quadratic_mixture import QuadraticMixture
+from twin.uncertainty.volumetric_distribution import QuadraticMixture
 
 NARROW = QuadraticDistribution.of(np.eye(3), np.zeros(3), 0.5, np.zeros(3), np.eye(3))
 WIDE = QuadraticDistribution.of(np.eye(3), np.zeros(3), 0.0, np.ones(3), 4.0 * np.eye(3))

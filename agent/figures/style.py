@@ -1,0 +1,227 @@
+"""Style of all figures: one set of colours, fonts and axes for reports and studies.
+
+The colours of lines and points are those of Okabe and Ito, which can be distinguished with the common forms of colour
+blindness. The colours of maps are those of viridis, whose lightness increases evenly.
+
+Figures of studies have a light background and are rendered both as PNG and as SVG. Figures of a report are rendered as
+SVG, in which each colour is replaced by a CSS variable of the report page. The same drawing can therefore be shown on a
+light screen, on a dark screen and on paper.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib as mpl
+from cycler import cycler
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+
+INK = "#1b2430"
+"""Colour of text, axes and zero lines."""
+QUIET = "#5a6675"
+GRID = "#dfe4e9"
+BLUE = "#0072b2"
+ORANGE = "#d55e00"
+GREEN = "#009e73"
+PURPLE = "#cc79a7"
+SKY = "#56b4e9"
+AMBER = "#e69f00"
+SERIES = (BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY, INK)
+"""Colours of series, in order of use."""
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+"""Markers of series, so that series can be distinguished without colour."""
+MAP_COLOURS = "viridis"
+BAND_OPACITY = 0.22
+DOTS_PER_INCH = 150
+
+PAGE_VARIABLES = {
+    INK: "currentColor",
+    GRID: "var(--grid)",
+    BLUE: "var(--blue)",
+    ORANGE: "var(--orange)",
+    GREEN: "var(--green)",
+    PURPLE: "var(--purple)",
+}
+"""Colours that a figure of a report may use, with the CSS variables of the page that replace them."""
+
+Draw = Callable[[Figure], None]
+
+_SETTINGS: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "svg.image_inline": True,
+    "font.family": "sans-serif",
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.labelsize": 9.0,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "legend.fontsize": 8.5,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": GRID,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+}
+_REPORT_SETTINGS: dict[Any, Any] = {
+    **_SETTINGS,
+    "axes.linewidth": 0.6,
+    "grid.linewidth": 0.5,
+    "lines.linewidth": 1.3,
+    "savefig.dpi": 110,
+}
+_STUDY_SETTINGS: dict[Any, Any] = {
+    **_SETTINGS,
+    "axes.titlelocation": "left",
+    "axes.linewidth": 0.7,
+    "grid.linewidth": 0.6,
+    "axes.prop_cycle": cycler(color=SERIES),
+    "lines.linewidth": 1.5,
+    "lines.markersize": 4.5,
+    "figure.facecolor": "white",
+    "axes.facecolor": "white",
+    "savefig.facecolor": "white",
+    "figure.constrained_layout.use": True,
+    "image.cmap": MAP_COLOURS,
+}
+_NAMESPACES = 'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Figure that has been rendered both as PNG and as SVG."""
+
+    png: bytes
+    svg: str
+
+
+def picture(name: str, draw: Draw, size_in: tuple[float, float]) -> Picture:
+    """Return a figure in the style of the studies, rendered as PNG and as SVG. The function `draw` receives the empty
+    figure and draws on it.
+
+    `size_in` contains the width and the height in inches. The same input always gives the same bytes.
+    """
+    with mpl.rc_context(_STUDY_SETTINGS):
+        mpl.rcParams["svg.hashsalt"] = name
+        figure = Figure(figsize=size_in, dpi=DOTS_PER_INCH)
+        draw(figure)
+        return Picture(_png(figure), _svg(figure))
+
+
+def headed(draw: Draw, heading: str) -> Draw:
+    """Return a function that draws what `draw` draws, with the line `heading` above it.
+
+    A title that `draw` gives to the whole figure stays below this line.
+    """
+
+    def draw_headed(figure: Figure) -> None:
+        draw(figure)
+        figure.suptitle("\n".join(filter(None, (heading, figure.get_suptitle()))), fontsize=8.5, color=QUIET)
+
+    return draw_headed
+
+
+def from_zero(axes: Axes, label: str) -> None:
+    """Set the label of the vertical axis of the plot `axes` to `label`, and start the scale of this axis at zero."""
+    axes.set_ylabel(label)
+    axes.set_ylim(bottom=0.0)
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Margins around the panels of a report figure, in inches.
+
+    The margins are fixed, because computing them from each drawing would double the time that a report takes.
+    """
+
+    left: float = 0.66
+    right: float = 0.15
+    bottom: float = 0.42
+    top: float = 0.26
+
+
+class Drawing:
+    """Figure in the style of the reports, rendered as SVG. `width_in` and `height_in` are in inches.
+
+    The object is a context manager that yields an empty matplotlib figure, in which the caller draws. After the `with`
+    block, the method `svg` returns the result.
+    """
+
+    def __init__(self, name: str, width_in: float, height_in: float, margins: Margins | None = None) -> None:
+        self.name = name
+        self._size = (width_in, height_in)
+        self._margins = margins or Margins()
+        self._context = mpl.rc_context(_REPORT_SETTINGS)
+        self._svg = ""
+
+    def __enter__(self) -> Figure:
+        self._context.__enter__()
+        mpl.rcParams["svg.hashsalt"] = self.name
+        self._figure = Figure(figsize=self._size)
+        self._figure.patch.set_alpha(0.0)
+        room, (width, height) = self._margins, self._size
+        self._figure.subplots_adjust(
+            left=room.left / width,
+            right=1.0 - room.right / width,
+            bottom=room.bottom / height,
+            top=1.0 - room.top / height,
+        )
+        return self._figure
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        try:
+            if kind is None:
+                for axes in self._figure.axes:
+                    make_transparent(axes)
+                self._svg = _themed(_svg(self._figure), self.name)
+        finally:
+            self._context.__exit__(None, None, None)
+
+    def svg(self) -> str:
+        """Return the text of the `<svg>` element of the figure, for use in a page. The text is empty until the `with`
+        block, in which the caller draws, has ended.
+        """
+        return self._svg
+
+
+def make_transparent(axes: Axes) -> None:
+    axes.patch.set_alpha(0.0)
+
+
+def _png(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})  # type: ignore[no-untyped-call]
+    return buffer.getvalue()
+
+
+def _svg(figure: Figure) -> str:
+    buffer = io.StringIO()
+    unstamped = {"Date": None, "Creator": None, "Format": None, "Type": None}
+    FigureCanvasSVG(figure).print_svg(buffer, metadata=unstamped)  # type: ignore[no-untyped-call]
+    return buffer.getvalue()
+
+
+def _themed(svg: str, name: str) -> str:
+    """Remove file-level metadata, use the page's colours and fonts, and prefix ids to keep them unique on the page."""
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    svg = re.sub(r"<!--.*?-->", "", svg, flags=re.DOTALL)
+    svg = re.sub(r'<svg [^>]*?(viewBox="[^"]*")[^>]*>', rf'<svg {_NAMESPACES} \1 data-figure="{name}">', svg, count=1)
+    svg = re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{name}-", svg)
+    for colour, variable in PAGE_VARIABLES.items():
+        svg = svg.replace(colour, variable)
+    svg = re.sub(r"font-family: [^;\"]*", "font-family: var(--figure-font)", svg)
+    return re.sub(r"font: ([^;\"]*?)px [^;\"]*", r"font: \1px var(--figure-font)", svg)

@@ -1,0 +1,182 @@
+"""Canned cycles G73, G81, G82, G83, G85, G86 and G89 as single moves, in the order of LinuxCNC.
+
+In the three main planes, with G90 and G91, G98 and G99, and repetitions (L). LinuxCNC reaches every corner of a cycle
+exactly. The single moves are therefore separated by a dwell of 0, at which no controller blends two moves, unless the
+program has chosen exact path (G61).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+from gcode.arcs import PLANE_AXES
+from gcode.codes import AXIS_LETTERS, MOTIONS
+from gcode.flattening.statements import BlockWord, Statement, block_text, number_text
+from gcode.flattening.system_parameters import program_position
+from gcode.modal import MM_PER_INCH, ModalState
+from gcode.source import SourceLine
+
+CYCLES = (730, 810, 820, 830, 850, 860, 890)
+_PECKS = (730, 830)
+_DWELLS = (820, 860, 890)
+_FEED_OUT = (850, 890)
+_STOPS_SPINDLE = 860
+_WITHOUT_CYCLE = (40, 100, 280, 281, 300, 301, 530, 920, 921, 922, 923)
+_CANCEL, _TO_START, _TO_R, _EXACT = 800, 980, 990, (610, 611)
+_BLENDED = 640
+_OWN_LETTERS = frozenset("XYZRLPQ@^")
+_RETRACT_INCH = 0.01  # distance by which LinuxCNC backs off after a peck
+_MOST_REPEATS = 10_000
+_MOST_PECKS = 100_000
+
+
+@dataclass(slots=True)
+class CannedCycles:
+    """State of the canned cycles.
+
+    `active` is ten times the number of the cycle in effect, or 0. `sticky` contains the values of R, P, Q and the depth
+    that hold until the cycle changes. `initial` is the coordinate of the tool along its axis before the first of
+    successive cycles, to which G98 returns. `to_r` is True with G99. `spindle` is M3 or M4 if the spindle turns.
+    """
+
+    active: int = 0
+    sticky: dict[str, float] = field(default_factory=dict)
+    initial: float | None = None
+    to_r: bool = False
+    exact: bool = False
+    spindle: str = ""
+
+    def wants(self, statement: Statement) -> bool:
+        """Update the state with the codes of a statement, and return True if it runs a cycle."""
+        codes = statement.codes("G")
+        for code in statement.codes("M"):
+            if code in (30, 40, 50):
+                self.spindle = "" if code == 50 else f"M{code // 10}"
+        for code in codes:
+            if code in (_TO_START, _TO_R):
+                self.to_r = code == _TO_R
+            elif code in (*_EXACT, _BLENDED):
+                self.exact = code in _EXACT
+            elif code in MOTIONS or code == _CANCEL:
+                self.active, self.initial = 0, None
+        named = [code for code in codes if code in CYCLES]
+        if len(named) > 1:
+            statement.source.refuse("two canned cycles in one block")
+        if named and named[0] != self.active:
+            self.active, self.sticky = named[0], {}
+        if not self.active or (not named and any(code in _WITHOUT_CYCLE for code in codes)):
+            return False
+        letters = {word.letter for word in statement.words}
+        return bool(named) or not letters.isdisjoint("XYZ@^")
+
+    def split(self, statement: Statement) -> tuple[list[BlockWord], tuple[BlockWord, ...]]:
+        """Return the words that do not belong to the cycle, and those that do."""
+        source, own, others = statement.source, {}, []
+        for word in statement.words:
+            if word.letter in _OWN_LETTERS:
+                if word.letter in own:
+                    source.refuse(f"the word {word.letter} occurs twice")
+                own[word.letter] = word
+            elif word.letter in "IJK" or (word.letter == "G" and word.text in ("53", "93")):
+                source.refuse(f"{word.letter}{word.text} in a canned cycle is not supported")
+            elif word.letter != "G" or not statement_is_cycle(word):
+                others.append(word)
+        return others, tuple(own.values())
+
+    def repeats(self, words: Sequence[BlockWord], source: SourceLine) -> int:
+        """Return the number of repetitions, the value of the word L."""
+        repeats = next((word.value for word in words if word.letter == "L"), 1.0)
+        if not (repeats.is_integer() and 1.0 <= repeats <= _MOST_REPEATS):
+            source.refuse(f"L is the number of repetitions, an integer from 1 to {_MOST_REPEATS}, not {repeats:g}")
+        return int(repeats)
+
+    def run(self, words: Sequence[BlockWord], repeats: int, source: SourceLine, modal: ModalState) -> Iterator[str]:
+        """Yield the blocks of the cycle, which begins at the position in `modal` and is repeated `repeats` times."""
+        given = {word.letter: word.value for word in words}
+        if modal.inverse_time:
+            source.refuse("a canned cycle with inverse-time feed (G93)")
+        start = program_position(modal, source)
+        first, second, normal = PLANE_AXES[modal.plane]
+        self._remember(given, AXIS_LETTERS[normal], source)
+        path = _Path(list(start), modal.absolute, exact=self.exact)
+        self.initial = start[normal] if self.initial is None else self.initial
+        level = self.sticky["R"] + (0.0 if modal.absolute else self.initial)
+        bottom = self.sticky["depth"] + (0.0 if modal.absolute else level)
+        if level < bottom:
+            source.refuse("R of a canned cycle is below the bottom of the hole")
+        yield from path.move("G0", {normal: max(level, start[normal])})
+        clear = level if self.to_r else max(level, self.initial)
+        step_mm = {axis: given.get(AXIS_LETTERS[axis], 0.0) for axis in (first, second)}
+        for _ in range(repeats):
+            hole = {axis: path.at[axis] + by for axis, by in step_mm.items()}
+            if modal.absolute:
+                hole = {axis: given.get(AXIS_LETTERS[axis], path.at[axis]) for axis in step_mm}
+            yield from path.move("G0", hole)
+            yield from path.move("G0", {normal: level})
+            yield from self._hole(path, normal, level, bottom, clear, modal.unit_mm, source)
+
+    def _remember(self, given: dict[str, float], depth: str, source: SourceLine) -> None:
+        wanted = {"R": "R", "depth": depth}
+        if self.active in _PECKS:
+            wanted["Q"] = "Q"
+        if self.active in _DWELLS:
+            wanted["P"] = "P"
+        for name, letter in wanted.items():
+            if letter in given:
+                self.sticky[name] = given[letter]
+            elif name not in self.sticky:
+                source.refuse(f"G{self.active // 10} needs the word {letter}")
+
+    def _hole(
+        self, path: _Path, normal: int, level: float, bottom: float, clear: float, unit_mm: float, source: SourceLine
+    ) -> Iterator[str]:
+        if self.active in _PECKS:
+            peck = self.sticky["Q"]
+            if not peck > 0.0 or (level - bottom) / peck > _MOST_PECKS:
+                source.refuse(f"Q of a canned cycle is the depth of a peck, not {peck:g}")
+            back = _RETRACT_INCH * MM_PER_INCH / unit_mm
+            depth = level - peck
+            while depth > bottom:
+                yield from path.move("G1", {normal: depth})
+                if self.active == 830:
+                    yield from path.move("G0", {normal: clear})
+                yield from path.move("G0", {normal: depth + back})
+                depth -= peck
+        yield from path.move("G1", {normal: bottom})
+        if self.active in _DWELLS:
+            yield f"G4 P{number_text(self.sticky['P'])}"
+        if self.active == _STOPS_SPINDLE:
+            if not self.spindle:
+                source.refuse("G86 needs a turning spindle, and no M3 or M4 comes before it")
+            yield "M5"
+        yield from path.move("G1" if self.active in _FEED_OUT else "G0", {normal: clear})
+        if self.active == _STOPS_SPINDLE:
+            yield self.spindle
+
+
+@dataclass(slots=True)
+class _Path:
+    """Single moves from the position `at`, in the coordinates of the program."""
+
+    at: list[float]
+    absolute: bool
+    exact: bool
+
+    def move(self, code: str, target: dict[int, float]) -> Iterator[str]:
+        """Yield the block of a move, and the dwell after it; nothing if no axis moves."""
+        words = []
+        for axis in sorted(target):
+            if target[axis] != self.at[axis]:
+                value = target[axis] - (0.0 if self.absolute else self.at[axis])
+                words.append(BlockWord.of(AXIS_LETTERS[axis], value))
+                self.at[axis] = target[axis]
+        if words:
+            yield f"{code} {block_text(words)}"
+            if not self.exact:
+                yield "G4 P0"
+
+
+def statement_is_cycle(word: BlockWord) -> bool:
+    """Return True if a G word names a canned cycle, G98 or G99, which the single moves do not need."""
+    return round(10.0 * word.value) in (*CYCLES, _TO_START, _TO_R)
