@@ -102,8 +102,8 @@ class Job:
 
     @cached_property
     def measuring_order(self) -> MeasuringOrder:
-        """Order in which the position set and the held-out positions (used only for verification) are measured before
-        the new compensation table is active.
+        """Order in which the position set and the held-out positions are measured before the new compensation table is
+        active.
         """
         both = (*self.positions, *self.held_out)
         carried = self.rules.change.moves_artefact

@@ -1,6 +1,4 @@
-"""Preparation of a job (calibration that can be planned and carried out) from the settings and from the files that the
-settings name. No device is contacted.
-"""
+"""Preparation of a job from the settings and from the files that the settings name. No device is contacted."""
 
 from __future__ import annotations
 

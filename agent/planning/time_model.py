@@ -28,7 +28,7 @@ class TimeModel:
     rotary device that holds the artefact; both axes turn simultaneously. `command_latency_s`, `touch_latency_s` and
     `turn_latency_s` are added to the times of each move, touch and turn. The latency of a turn includes the time in
     which the mount settles. `carrying_s` is the time that the operator needs to put the artefact and the mount at
-    another station (place of the mount), or to place the artefact by hand.
+    another station, or to place the artefact by hand.
     """
 
     rapid_mm_per_s: Point

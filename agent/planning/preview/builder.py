@@ -1,5 +1,5 @@
-"""Preview of a job (prepared calibration): all positions, the path of the stylus tip through them, and the reason why
-the preflight refused the plan, if it did.
+"""Preview of a job: all positions, the path of the stylus tip through them, and the reason why the preflight refused
+the plan, if it did.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ MARGIN_MM = 200.0
 def preview_of(job: Job, refused: PlanRefused | None = None, waypoints: Sequence[Waypoint] | None = None) -> Preview:
     """Return the preview of the plan of `job`.
 
-    `refused` is the error with which the preflight (simulated execution) refused the plan, or None if the plan passed.
-    `waypoints` is a path of the stylus tip that has already been computed. If `waypoints` is None, the path of the
-    whole calibration is computed.
+    `refused` is the error with which the preflight refused the plan, or None if the plan passed. `waypoints` is a path
+    of the stylus tip that has already been computed. If `waypoints` is None, the path of the whole calibration is
+    computed.
     """
     if waypoints is None:
         waypoints = walk_waypoints(job, refused)
