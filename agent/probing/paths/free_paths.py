@@ -1,10 +1,10 @@
 """Fastest collision-free paths of one run: from touch to touch, from ball to ball, and from one pose of the artefact to
 the next.
 
-Paths are searched among the bodies at their nominal places, in coordinates relative to the location of the mount (the
-rotary device that holds the artefact). For this reason, a path that was found once can be used at every station and
-each time a position is measured. The uncertainty of the pose is added to the clearance between the bodies. When a path
-is used, its corners are shifted to the measured location of the artefact.
+Paths are searched among the bodies at their nominal places, in coordinates relative to the location of the mount. For
+this reason, a path that was found once can be used at every station and each time a position is measured. The
+uncertainty of the pose is added to the clearance between the bodies. When a path is used, its corners are shifted to
+the measured location of the artefact.
 """
 
 from __future__ import annotations
