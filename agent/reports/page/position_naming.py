@@ -1,5 +1,4 @@
-"""Naming of a list of positions (orientations and places of the artefact) by the standard position sets that it
-consists of."""
+"""Naming of a list of positions by the standard position sets that it consists of."""
 
 from __future__ import annotations
 

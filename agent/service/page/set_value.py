@@ -1,5 +1,5 @@
-"""Expected benefit of measuring the position set (the list of positions of the artefact) as a whole, and the loss of
-accuracy if one of its positions were left out."""
+"""Expected benefit of measuring the position set as a whole, and the loss of accuracy if one of its positions were left
+out."""
 
 from __future__ import annotations
 
