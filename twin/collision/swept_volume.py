@@ -1,7 +1,7 @@
 """Volume swept by an artefact that its mount rotates, and the limit up to which the probe may stay in front of the
 artefact during the rotation.
 
-The two axes of a mount (azimuth and elevation) rotate at the same time. Either axis may be ahead of the other, and the
+Azimuth and elevation of a mount rotate at the same time. Either axis may be ahead of the other, and the
 mount may stop halfway. The swept volume is therefore the union over all pairs of an azimuth and an elevation between
 the angles before and after the rotation.
 

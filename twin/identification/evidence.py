@@ -1,5 +1,5 @@
-"""Estimation of the scales (factors on the standard deviations) of touch noise, prior and each kind of misfit (errors
-that the model cannot represent) by maximum marginal likelihood (empirical Bayes).
+"""Estimation of the scales of touch noise, prior and each kind of misfit by maximum marginal likelihood (empirical
+Bayes).
 
 The equations of the measurement are A z = y with the unknowns z, the design matrix A and the right side y. The poses of
 the artefact have been eliminated by projection. After integration over z, twice the negative log marginal likelihood is
@@ -78,8 +78,7 @@ _ACCURACY = 1e-3  # gradient per equation: log scales are accurate to about 0.01
 
 
 def most_likely_scales(normal: NormalEquations, precision: PriorPrecision, start: Scales) -> Scales:
-    """Return the scales (factors on the standard deviations of noise, prior and misfit) that maximise the product of
-    the marginal likelihood and the priors of the scales."""
+    """Return the scales that maximise the product of the marginal likelihood and the priors of the scales."""
     return largest_log_evidence(normal, precision, start)[1]
 
 
@@ -103,9 +102,8 @@ def largest_log_evidence(normal: NormalEquations, precision: PriorPrecision, sta
 
 
 def log_evidence(normal: NormalEquations, precision: PriorPrecision, scales: Scales) -> float:
-    """Return the logarithm of the product of the marginal likelihood and the priors of `scales` (factors on the
-    standard deviations of noise, prior and misfit). Terms that depend only on the measured rows and their covariances
-    are omitted."""
+    """Return the logarithm of the product of the marginal likelihood and the priors of `scales`. Terms that depend only
+    on the measured rows and their covariances are omitted."""
     normal, precision = in_principal_axes(normal, precision)
     logs = np.log(scales.values)[free_scales(precision)]
     return _log_evidence(_cost(normal, precision, scales)(logs)[0], normal)
@@ -117,8 +115,7 @@ def _log_evidence(cost: float, normal: NormalEquations) -> float:
 
 
 def scales_at_bounds(scales: Scales) -> tuple[str, ...]:
-    """Return a description of each scale (factor on the standard deviation of the noise, the prior or a kind of misfit)
-    that reached its lower or upper bound."""
+    """Return a description of each scale that reached its lower or upper bound."""
     found = []
     for name, value, prior in zip(_NAMES, scales.values, SCALE_PRIORS, strict=True):
         for bound in (prior.low, prior.high):

@@ -25,8 +25,8 @@ Indices = np.ndarray[Any, np.dtype[np.int64]]
 class UnknownBlocks:
     """Slices that select each kind of unknown from the vector z of all unknowns of an identification.
 
-    The slice `misfit` is divided into the consecutive slices `kinds`, one for each kind of misfit (errors that the
-    model cannot represent). `drifting` is the number of unknowns of the machine's drift, which form the last block.
+    The slice `misfit` is divided into the consecutive slices `kinds`, one for each kind of misfit. `drifting` is the
+    number of unknowns of the machine's drift, which form the last block.
     """
 
     parameters: slice
