@@ -1,4 +1,4 @@
-"""Monitor of the heartbeat of a Modbus controller (a counter in its status registers)."""
+"""Monitor of the heartbeat of a Modbus controller."""
 
 from __future__ import annotations
 
