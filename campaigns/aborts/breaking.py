@@ -101,7 +101,7 @@ class Interrupter:
     key: str = ""
 
     def rig(self, whole: Rig) -> Rig:
-        """Return a rig (the devices of a run and its actions) that is equal to `whole` except for two things.
+        """Return a rig that is equal to `whole` except for two things.
 
         The device of the returned rig is reached through a `BreakableLink`, and all actions of the rig are carried out
         by `Interrupter.perform`.
@@ -174,7 +174,7 @@ class Interrupter:
 
 
 class InterruptibleRig(Rig):
-    """Rig (the devices of a run and its actions) whose actions are all carried out by `Interrupter.perform`."""
+    """Rig whose actions are all carried out by `Interrupter.perform`."""
 
     def __init__(self, interrupter: Interrupter, given: dict[str, Any]) -> None:
         super().__init__(**given)

@@ -132,8 +132,8 @@ def check_refused_and_restored() -> dict[str, Any]:
     """Carry out two uninterrupted runs that must end with the former table (active before the run) active again, and
     return the failures.
 
-    In the first run a gate (a limit that the result must keep before a write) refuses the new table. In the second run
-    the verification fails, and the former table is restored.
+    In the first run a gate refuses the new table. In the second run the verification fails, and the former table is
+    restored.
     """
     failed = []
     for name, (sections, state) in ENDS.items():

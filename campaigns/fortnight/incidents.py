@@ -255,8 +255,7 @@ class Incidents:
 
 
 def read_estimate(host: ServiceHost, run_id: str) -> list[tuple[str, float, float]]:
-    """Return the name, the value and the standard uncertainty of every parameter of the estimate (identified machine
-    errors) of a run.
+    """Return the name, the value and the standard uncertainty of every parameter of the estimate of a run.
 
     The run must have exactly one estimate.
     """

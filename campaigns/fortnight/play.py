@@ -199,8 +199,8 @@ def _judge(programme: Programme, played: FortnightResult) -> None:
 
 
 def trend_claims(played: FortnightResult) -> dict[str, bool]:
-    """Return the claims (tested statements) about the trends and alarms in the run history. The value of a claim is
-    True if the claim holds.
+    """Return the claims about the trends and alarms in the run history. The value of a claim is True if the claim
+    holds.
     """
     before, damaged, end = (played.trends[name] for name in ("before", "damaged", "end"))
     acting = {trend["name"]: trend for trend in before["trends"]}.get("ve_acting", {})

@@ -1,6 +1,4 @@
-"""Trial of one random plan: a preflight (simulated execution), a run on a machine with errors, and a second run that is
-interrupted.
-"""
+"""Trial of one random plan: a preflight, a run on a machine with errors, and a second run that is interrupted."""
 
 from __future__ import annotations
 
@@ -52,8 +50,8 @@ class PlanTrial:
 
 
 def try_plan(seed: int, *, judged: bool = False) -> PlanTrial:
-    """Carry out the preflight (simulated execution) and both runs, one undisturbed and one interrupted, of the random
-    plan that `seed` gives, and return the result.
+    """Carry out the preflight and both runs, one undisturbed and one interrupted, of the random plan that `seed` gives,
+    and return the result.
 
     The function never raises an exception: a refusal is a regular result, and a defect is recorded as a failure.
     """
