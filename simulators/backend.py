@@ -183,7 +183,7 @@ class SimulatedMachineDevice:
         return self._controller.temperatures()
 
     def ask(self, request: OperatorRequest) -> bool:
-        """Move or place the artefact if the request asks for it, and return True (the answer yes).
+        """Move or place the artefact if the request asks for it, and answer yes (True).
 
         Returns False only if a request to move the artefact names no station.
         """

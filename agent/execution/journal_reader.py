@@ -319,7 +319,7 @@ class JournalReader:
 
 
 def _restricted(query: str, procedure_only: bool) -> str:
-    """Return the statement without rows of withdrawals and returns if `procedure_only`.
+    """Return the statement; if `procedure_only`, it omits the rows of steps outside the procedure.
 
     Otherwise the statement does not name the column `aside`, which journals of version 1 lack.
     """

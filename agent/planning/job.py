@@ -93,8 +93,8 @@ class Job:
     def procedure(self) -> Procedure:
         """Measuring procedure for the design of position sets and for the error budget.
 
-        It consists of the measuring layout (places of the artefact, reach of the axes) and of the covariance of the
-        measured ball centres. It contains neither devices nor a measuring order.
+        It consists of the measuring layout and of the covariance of the measured ball centres. It contains neither
+        devices nor a measuring order.
         """
         probing = self.rules.probing
         covariance = centre_covariance(probing.directions, probing.touch_sigma_mm)

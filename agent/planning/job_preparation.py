@@ -88,7 +88,7 @@ def prepare_job(settings: Settings, base: Path) -> Job:
 
 
 def _held_out_choice(job: Job) -> HeldOutChoice:
-    """Return the held-out positions that the settings list, or else their choice, which is made when it is read."""
+    """Return the held-out positions that the settings list; if there are none, a choice made on first access."""
     if job.settings.verification.positions_deg is None:
         held_out_grid(job.settings)
         return LazyHeldOut(job)

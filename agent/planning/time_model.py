@@ -49,7 +49,7 @@ class TimeModel:
 
     def touch_s(self, path: StraightPath, feed_mm_per_s: float, trip_mm: float | None) -> tuple[float, Point]:
         """Return the time in s of a touch along `path`, without the latency of the command, and the axis positions (3,)
-        at the end of the touch. A touch is a move until the probe trips.
+        at the end of the touch.
 
         `trip_mm` is the distance along `path` at which the probe trips and the axes start to brake; it is None if the
         probe does not trip (a miss).

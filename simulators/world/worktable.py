@@ -57,7 +57,7 @@ class Worktable:
 
     @property
     def workpiece(self) -> Workpiece:
-        """Workpiece whose artefact the operator can move; if every station has its own artefact, the first workpiece."""
+        """Workpiece whose artefact the operator can move; the first one if every station has its own artefact."""
         if len(self._pieces) == 1 or self._scenario.artefacts:
             return self._pieces[0]
         return self._pieces[self._at - 1]

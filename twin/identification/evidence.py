@@ -146,6 +146,8 @@ def _cost(normal: NormalEquations, precision: PriorPrecision, others: Scales) ->
     def cost(logs: Logs) -> tuple[float, Array]:
         scales = _scales(logs, free, others)
         value, gradient = negative_log_likelihood(normal, precision, scales)
+        # A fixed scale stays in the joint prior, because the others are distributed about it. The division by the number
+        # of equations makes the tolerance of the search independent of the size of the set.
         every = np.log(scales.values)
         pull = prior @ every
         return (value + float(every @ pull)) / normal.rows, (gradient + 2.0 * pull)[free] / normal.rows
@@ -180,9 +182,12 @@ def negative_log_likelihood(normal: NormalEquations, precision: PriorPrecision, 
     diagonal = precision.diagonal(scales)
     weighted_z, trace = diagonal * z, float(variances @ diagonal)
     # rows ln σ² + |y|²/σ² - rᵀH⁻¹r (with r the weighted right side) + ln det H - ln det D
+    # Dropped: rows ln 2π and, for a joint prior with mean m and precision K, mᵀ K m; no scale changes either of them.
     value = normal.rows * math.log(variance) + normal.square / variance - float(right @ z)
     value += posterior.log_determinant - _log_determinant(precision, scales)
     gradient = np.zeros(len(SCALE_PRIORS))
+    # The derivative of ln det H gives tr(H⁻¹ N/σ²) = P - tr(H⁻¹ D), the effective number of parameters (MacKay's γ).
+    # The quadratic terms are stationary in z, so only the explicit σ in |y - A z|²/σ² counts.
     gradient[0] = 2.0 * (normal.rows - (len(z) - trace) - normal.misfit_square(z) / variance)
     # derivatives with respect to the prior variances: D - D C D - D z zᵀ D, of which only the diagonal counts
     gradient[1:] = precision.variance_changes(scales) @ (diagonal - diagonal**2 * variances - weighted_z**2)

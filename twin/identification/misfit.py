@@ -52,8 +52,7 @@ Degrees = tuple[int, int, int]
 
 @dataclass(frozen=True, eq=False)
 class MisfitModes:
-    """Modes of the misfit (error fields that the error model cannot represent). A priori, the coefficients of the modes
-    are independent, with mean zero and variance 1.
+    """Modes of the misfit. A priori, the coefficients of the modes are independent, with mean zero and variance 1.
 
     Each of the q modes is a combination of c candidate fields, which are products of Legendre polynomials. `degrees`
     contains the Legendre degrees of each candidate in x, y and z. `mixing` (3, c, q) contains, for each direction, the

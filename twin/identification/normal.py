@@ -184,12 +184,18 @@ class PriorPrecision:
 
         The row of the stationary part is zero unless the unknowns are in principal axes.
         """
+        # A variance s² changes by 2 s² with ln s. The rows are those of `Scales.values` without the noise: prior, four
+        # kinds of misfit, stationary part, independent coefficients. A scale that applies to no unknown keeps a row of
+        # zeros, so that the caller can leave it out by its mask of free scales.
         changes = np.zeros((7, self.blocks.size))
         changes[0, self.blocks.parameters] = 2.0 * scales.prior**2
+        # The variance of a coefficient of an error motion is independent² + stationary² q (see `diagonal`): the scale
+        # of the prior does not occur in it.
         changes[0, self._in_series] = 0.0
         changes[6, self._in_series] = 2.0 * scales.independent**2
         for row, (block, scale) in enumerate(zip(self.blocks.kinds, scales.kinds, strict=False), start=1):
             changes[row, block] = 2.0 * scale**2
+        # Only in principal axes is the stationary part a variance of its own for each unknown.
         if self.principal is not None:
             changes[5] = 2.0 * scales.stationary**2 * self.principal.stationary
         return changes
@@ -231,6 +237,7 @@ class Posterior:
     @cached_property
     def covariance(self) -> Array:
         """Posterior covariance (P, P) of the P unknowns."""
+        # dpotri fills the lower triangle only; the upper one is zero, so the sum counts just the diagonal twice.
         lower, _ = dpotri(self.factor, lower=1)
         covariance: Array = lower + lower.T
         np.einsum("ii->i", covariance)[:] *= 0.5
@@ -239,6 +246,7 @@ class Posterior:
     @cached_property
     def variances(self) -> Array:
         """Diagonal (P,) of the posterior covariance."""
+        # (L Lᵀ)⁻¹ = L⁻ᵀ L⁻¹: its diagonal is the sum of squares in each column of L⁻¹, without the full inverse.
         inverse, _ = dtrtri(self.factor, lower=1)
         return np.asarray(np.einsum("ij,ij->j", inverse, inverse))
 

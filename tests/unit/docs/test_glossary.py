@@ -24,8 +24,11 @@ REWRITTEN = (
 )
 """Modules of the run that are being replaced as a whole; each leaves this list with the replacement."""
 SMALL_WORDS = frozenset(
-    "a all an and are as at be by can for from has have in into is it its not of on one or than that the their this to "
-    "was were which with".split()
+    re.findall(
+        r"\w+",
+        "a all an and are as at be by can for from has have in into is it its not of on one or than that the their this "
+        "to was were which with",
+    )
 )
 ENDINGS = ("ations", "ation", "ements", "ement", "ings", "ing", "ied", "ies", "es", "ed", "s", "e")
 
@@ -42,27 +45,26 @@ def stems(text: str) -> list[str]:
 
 @cache
 def definitions() -> dict[tuple[str, ...], frozenset[str]]:
-    """Stems of the definition by the stems of the term, the longest term first."""
+    """Stems of the definition by the stems of the term."""
     page = (ROOT / "docs" / "reference" / "glossary.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (.+?) \| (.+?) \| .+? \|$", page, re.MULTILINE)
-    found = {
+    return {
         tuple(stems(term)): frozenset(stems(meaning))
         for terms, meaning in rows
         if terms != "term"
         for term in terms.split(", ")
     }
-    return dict(sorted(found.items(), key=lambda entry: -len(entry[0])))
 
 
 def repeated_definitions(text: str) -> Iterator[str]:
     """Parentheses of `text` that repeat the definition of the term before them, with this term."""
     for before, inside in PARENTHESIS.findall(" ".join(text.split())):
         ending = stems(before)
-        meaning = next((m for term, m in definitions().items() if tuple(ending[-len(term) :]) == term), None)
+        meanings = [m for term, m in definitions().items() if tuple(ending[-len(term) :]) == term]
         said = stems(inside)
-        if meaning is None or len(said) < 2 or "`" in inside:
+        if len(said) < 2 or "`" in inside:
             continue
-        if sum(word in meaning for word in said) >= REPEATED * len(said):
+        if any(sum(word in meaning for word in said) >= REPEATED * len(said) for meaning in meanings):
             yield f"{before} ({inside})"
 
 

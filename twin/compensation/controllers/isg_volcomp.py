@@ -163,9 +163,7 @@ def _deviation(motions: Motions, model: ErrorModel, table: CompensationTable, ax
 def _over_y_and_z(values: Array, table: CompensationTable, axis_positions: Array) -> Array:
     """Interpolate `values` bilinearly at axis positions (n, 3) and return the result (n,).
 
-    The values are given at the nodes of Y and Z.
-
-    Beyond the border the values are constant.
+    The values are given at the nodes of Y and Z. Beyond the outermost nodes they are constant.
     """
     over_z = np.array([np.interp(axis_positions[:, 2], table.z, row) for row in values])
     inside = np.clip(axis_positions[:, 1], table.y[0], table.y[-1])
