@@ -15,7 +15,7 @@ from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
 from agent.planning.preflight import run_preflight
 from agent.settings.load import load_settings
-from campaigns.plans.drawing import toml
+from campaigns.plans.random_cases import toml
 from drivers.errors import VolcalError
 
 Document = dict[str, Any]

@@ -13,8 +13,8 @@ from agent.execution.journal_reader import open_journal
 from agent.results.run_outcome import Decision
 from agent.service.state.journal_state import INTERRUPTED_CODE
 from campaigns.fortnight.evening import Evening, ExpectedRun
-from campaigns.fortnight.house import STATUS_POLL_S, TIMEOUT_S, ServiceHost, wait_for
 from campaigns.fortnight.plant import FortnightPlant
+from campaigns.fortnight.service_process import STATUS_POLL_S, TIMEOUT_S, ServiceHost, wait_for
 from drivers.roles import Permission
 
 FIRST_EVENING = datetime(2026, 3, 2, tzinfo=UTC)

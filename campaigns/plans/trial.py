@@ -17,9 +17,9 @@ from agent.runs.run_context import RunHooks
 from agent.runs.session import RunResult, carry_out
 from benchmarks.places import memory_directory
 from campaigns.nights.play import build_rig
-from campaigns.plans.drawing import DrawnCase, draw
-from campaigns.plans.judge import CollisionJudge, JudgeResult
-from campaigns.plans.moving import AlarmClock, MotionOnlyKind
+from campaigns.plans.collision_check import CollisionJudge, JudgeResult
+from campaigns.plans.motion_run import AlarmClock, MotionOnlyKind
+from campaigns.plans.random_cases import DrawnCase, draw
 from drivers.errors import UserError, VolcalError
 from simulators.world.world import World
 

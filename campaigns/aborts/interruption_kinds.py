@@ -17,8 +17,8 @@ from agent.execution.engine import Action
 from agent.execution.rig import Rig
 from agent.execution.supervisor import Supervisor
 from campaigns.aborts.case import InMemoryDatabase
-from campaigns.aborts.forks import Forks
-from campaigns.plans.moving import AlarmClock
+from campaigns.aborts.forked_copies import Forks
+from campaigns.plans.motion_run import AlarmClock
 from drivers.errors import CommandRejected, GuardTripped, LinkLost
 from simulators.world.world import World
 
