@@ -1,4 +1,4 @@
-"""Test of the independent collision check (`judge.py`).
+"""Test of the independent collision check (`collision_check.py`).
 
 On random straight moves among the bodies on the table, its results (collision or not) are compared with those of the
 simulator.

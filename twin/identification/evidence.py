@@ -146,8 +146,8 @@ def _cost(normal: NormalEquations, precision: PriorPrecision, others: Scales) ->
     def cost(logs: Logs) -> tuple[float, Array]:
         scales = _scales(logs, free, others)
         value, gradient = negative_log_likelihood(normal, precision, scales)
-        # A fixed scale stays in the joint prior, because the others are distributed about it. The division by the number
-        # of equations makes the tolerance of the search independent of the size of the set.
+        # A fixed scale stays in the joint prior, because the others are distributed about it. The division by the
+        # number of equations makes the tolerance of the search independent of the size of the set.
         every = np.log(scales.values)
         pull = prior @ every
         return (value + float(every @ pull)) / normal.rows, (gradient + 2.0 * pull)[free] / normal.rows

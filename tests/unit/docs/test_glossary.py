@@ -26,8 +26,8 @@ REWRITTEN = (
 SMALL_WORDS = frozenset(
     re.findall(
         r"\w+",
-        "a all an and are as at be by can for from has have in into is it its not of on one or than that the their this "
-        "to was were which with",
+        "a all an and are as at be by can for from has have in into is it its not of on one or than that the their "
+        "this to was were which with",
     )
 )
 ENDINGS = ("ations", "ation", "ements", "ement", "ings", "ing", "ied", "ies", "es", "ed", "s", "e")
