@@ -120,7 +120,8 @@ def turn_sweep(
     the directions of the workpiece frame and relative to the mount location.
     """
     # The 4 cells are for rounding: sphere centres are rounded to cells, and the dilations by the spheres and by the
-    # probe each round up and add one cell (see `_dilated`). Beyond the grid, `TurnSweep.at` takes the value at its border.
+    # probe each round up and add one cell (see `_dilated`). Beyond the grid, `TurnSweep.at` takes the value at its
+    # border.
     half = math.ceil((cover.reach_mm + probe.ram_half_width_mm + clearance_mm) / CELL_MM) + 4
     centres, radii = _turned(cover, start_deg, end_deg)
     front = _front(_in_frame(centres, frame), radii, half)

@@ -119,9 +119,9 @@ class Unknowns:
 
     The first block gives the parameters of `model`: each parameter in mm or rad is its element of z multiplied by its
     element of `scale` (p,). The second and third blocks give the certificate errors and the thermal strain of
-    `artefact`. The fourth block contains the coefficients of the modes `modes` of the misfit;
-    the misfit field in mm is the sum of all modes, each multiplied by its coefficient and by `misfit_mm`. The fifth
-    block gives the drift of the machine during the measurement, as defined by `drift`. It is empty if `drift` is None, as in a stored estimate.
+    `artefact`. The fourth block contains the coefficients of the modes `modes` of the misfit; the misfit field in mm is
+    the sum of all modes, each multiplied by its coefficient and by `misfit_mm`. The fifth block gives the drift of the
+    machine during the measurement, as defined by `drift`. It is empty if `drift` is None, as in a stored estimate.
     """
 
     model: ErrorModel
