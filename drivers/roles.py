@@ -73,7 +73,7 @@ class ProbeStatus:
 
 @dataclass(frozen=True)
 class Touch:
-    """Result of a touch (a move until the probe trips) that ended with a trip.
+    """Result of a touch that ended with a trip.
 
     `position_mm` is the position latched at the trip, not the position at which the axes stopped.
     """
@@ -83,7 +83,7 @@ class Touch:
 
 @dataclass(frozen=True)
 class Miss:
-    """Result of a touch (a move until the probe trips) that reached its target without a trip.
+    """Result of a touch that reached its target without a trip.
 
     A miss is not a fault.
     """
@@ -280,8 +280,8 @@ class OperatorTask(Enum):
 class OperatorRequest:
     """Question to the operator, to be answered with yes or no. "Done" counts as yes.
 
-    `station` is the number of the station (place of the mount) that the task concerns, counted from 1, or None if the
-    task concerns no station.
+    `station` is the number of the station that the task concerns, counted from 1, or None if the task concerns no
+    station.
     """
 
     task: OperatorTask

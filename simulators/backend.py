@@ -1,5 +1,4 @@
-"""One device that implements all device roles with a simulated world in this process. It serves tests and preflights
-(simulated executions of a plan before anything moves).
+"""One device that implements all device roles with a simulated world in this process. It serves tests and preflights.
 
 The end of each motion is known when the motion begins. The device sleeps on the given clock exactly until this end, and
 the sleep advances the world.
@@ -184,7 +183,7 @@ class SimulatedMachineDevice:
         return self._controller.temperatures()
 
     def ask(self, request: OperatorRequest) -> bool:
-        """Move or place the artefact if the request asks for it, and return True (the answer yes).
+        """Move or place the artefact if the request asks for it, and answer yes (True).
 
         Returns False only if a request to move the artefact names no station.
         """

@@ -1,5 +1,4 @@
-"""Plugin `simulated`: a machine in this process, for trials and preflights (simulated executions of a plan before
-anything moves).
+"""Plugin `simulated`: a machine in this process, for trials and preflights.
 
 The settings are either the path of a scenario file or the keys of a scenario. `ideal = true` removes all errors of the
 simulated machine.

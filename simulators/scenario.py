@@ -1,8 +1,7 @@
 """Scenario of a simulation, given as a TOML file or as the same keys in the settings. Unknown keys are refused.
 
 If a value has a unit, the name of its key ends with this unit. If a section (`[truth]`, `[mount]`, …) is missing, its
-defaults apply. `ideal = true` removes every error, as for a preflight (simulated execution of a plan before anything
-moves).
+defaults apply. `ideal = true` removes every error, as for a preflight.
 """
 
 from __future__ import annotations
@@ -31,8 +30,7 @@ Value = TypeVar("Value")
 
 
 class TruthSettings(StrictModel):
-    """Settings for the true errors of the simulated machine, which are drawn from the machine family (the distribution
-    of the errors of machines of one make).
+    """Settings for the true errors of the simulated machine, which are drawn from the machine family.
 
     `scale` multiplies the error amplitudes of the family.
     """
@@ -276,9 +274,7 @@ class Scenario:
             )
 
     def without_errors(self) -> Scenario:
-        """Return the scenario without any error, as used for a preflight (simulated execution of a plan before anything
-        moves).
-        """
+        """Return the scenario without any error, as used for a preflight."""
         return dataclasses.replace(self, settings=ideal_document(self.settings))
 
 

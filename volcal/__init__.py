@@ -6,7 +6,7 @@ and export it for a controller. Draw the error over the workspace with `error_ma
 chooses positions of the artefact, and `simulate` simulates a measurement.
 
 Lengths are in mm unless a name says otherwise. Points are axis positions, given as arrays of shape (n, 3) for n points.
-No object can be modified after its construction.
+No object can be modified after its construction. Terms are defined in docs/reference/glossary.md.
 
 Modules are loaded on first use, and `import volcal` itself is therefore fast.
 """

@@ -49,7 +49,7 @@ class Prediction:
 
 @dataclass(frozen=True)
 class VolumetricErrors:
-    """Volumetric error (rms length of the deviation over the workspace) before and after compensation.
+    """Volumetric error before and after compensation.
 
     `before` is the estimated error of the uncompensated machine. `after` is the error that is expected if the machine
     is compensated with a table made from the estimate.

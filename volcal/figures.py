@@ -1,6 +1,4 @@
-"""Figures of an estimate (identified machine errors). The library matplotlib is imported when the first figure is
-drawn.
-"""
+"""Figures of an estimate. The library matplotlib is imported when the first figure is drawn."""
 
 from __future__ import annotations
 

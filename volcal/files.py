@@ -43,10 +43,9 @@ def shipped_file(name: str) -> Path:
 def read_machine(path: PathName) -> MachineDescription:
     """Return the machine that is described by a machine file (TOML).
 
-    The file describes the kinematic chain, the travel of the axes, the tools, the error model, the prior population
-    (the expected distribution of the errors) and the deflection of the machine structure. If the file names a
-    deflection grid, that grid is read as well; its path is relative to the machine file. Raises FormatError, which
-    names file and key, if the file is invalid.
+    The file describes the kinematic chain, the travel of the axes, the tools, the error model, the prior population and
+    the deflection of the machine structure. If the file names a deflection grid, that grid is read as well; its path is
+    relative to the machine file. Raises FormatError, which names file and key, if the file is invalid.
 
     >>> machine = volcal.read_machine(volcal.shipped_file("machines/case-study.toml"))
     >>> machine.name, machine.model.size
@@ -97,7 +96,7 @@ def read_positions(path: PathName) -> tuple[Position, ...]:
 
 
 def read_estimate(path: PathName) -> StoredEstimate:
-    """Return an estimate (identified machine errors) that is stored in a JSON file.
+    """Return an estimate that is stored in a JSON file.
 
     The file was written by the command `volcal identify`, by a calibration run, or by `write_estimate`. Raises
     FormatError, which names file and key, if the file is invalid.
@@ -130,7 +129,7 @@ def write_positions(positions: tuple[Position, ...], path: PathName) -> Path:
 
 
 def write_estimate(estimate: Estimate, path: PathName, provenance: Mapping[str, str] | None = None) -> Path:
-    """Write an estimate (identified machine errors) to a JSON file and return its path.
+    """Write an estimate to a JSON file and return its path.
 
     `provenance` contains named texts that are stored with the estimate, such as the software version and dates.
     """

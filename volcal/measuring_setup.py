@@ -87,7 +87,7 @@ class MeasuringSetup:
 
     @cached_property
     def procedure(self) -> Procedure:
-        """Measuring procedure of the set-up in the form that the package `twin.design` (selection of positions) uses.
+        """Measuring procedure of the set-up in the form that the package `twin.design` uses.
 
         It contains the geometric layout of the measurement with the tool, and the covariance of one measured ball
         centre.

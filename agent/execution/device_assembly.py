@@ -1,5 +1,5 @@
-"""Construction of the rig (all devices of one machine) and of the clock of the machine from the settings. The settings
-name the driver of each device.
+"""Construction of the rig and of the clock of the machine from the settings. The settings name the driver of each
+device.
 """
 
 from __future__ import annotations

@@ -38,8 +38,8 @@ class StepJournal(Protocol):
         """Return a journal for steps that are not part of the procedure of the run. A replay of the run skips such
         steps.
 
-        For example, steps withdraw the probe and restore the table if a run ends early, and steps move the probe back
-        if the run is resumed.
+        Such steps withdraw the probe and restore the table if a run ends early, and move the probe back if the run is
+        resumed.
         """
         ...
 
@@ -72,9 +72,9 @@ class Engine:
         """Return an engine with the same actions as this engine, for steps that are not part of the procedure of the
         run.
 
-        For example, steps withdraw the probe and restore the table if a run ends early, and steps move the probe back
-        if the run is resumed. Such steps are journaled, but when a resumed run replays its journal, it skips them. They
-        are not passed to the observer and are therefore not counted.
+        Such steps withdraw the probe and restore the table if a run ends early, and move the probe back if the run is
+        resumed. They are journaled, but a resumed run skips them when it replays its journal. They are not passed to
+        the observer and are therefore not counted.
         """
         return Engine(self._actions, None if self._journal is None else self._journal.aside())
 

@@ -155,9 +155,7 @@ class RunJournal:
         self._execute("INSERT INTO origins (run, record) VALUES (?,?)", (self._run, to_json(record)))
 
     def begun(self) -> None:
-        """Record that the preflight (the simulated execution of the plan) has ended. From then on, the run can be
-        resumed.
-        """
+        """Record that the preflight has ended. From then on, the run can be resumed."""
         self._execute(
             "UPDATE origins SET begun_s = ?, begun_at = ? WHERE run = ?",
             (self._clock.now(), utc_timestamp(), self._run),

@@ -57,8 +57,8 @@ class RunCounts:
 class OriginRow(_Recorded):
     """Data stored at the start of a run, from which the run can be rebuilt.
 
-    `begun_s` is the machine time in s, and `begun_at` the UTC time, at which the preflight (the simulated execution of
-    the plan) ended. Both are None until then.
+    `begun_s` is the machine time in s, and `begun_at` the UTC time, at which the preflight ended. Both are None until
+    then.
     """
 
     run: int
@@ -152,8 +152,8 @@ class DecisionRow(_Recorded):
 @dataclass(frozen=True)
 class TableRow:
     """Stored compensation table without its corrections. `role` is ``backup`` (read before anything was written),
-    ``staged`` (written to the controller by the run) or ``restored`` (made active again by the run). `bank` is the
-    number of the table memory of the controller.
+    ``staged`` or ``restored`` (made active again by the run). `bank` is the number of the table memory of the
+    controller.
 
     If this memory was empty, `crc32` (the checksum of the corrections) and the fields after it are None.
     `origin_mm_text`, `step_mm_text` and `shape_text` are JSON lists exactly as written.

@@ -61,7 +61,7 @@ class Retrace:
 class TouchTowards:
     """Step: probing move towards the axis positions `target_mm`.
 
-    The result is a `Touch` (the axis positions latched at the trip) if the probe trips on the way, and otherwise a
+    The result is a `Touch` with the axis positions latched at the trip if the probe trips on the way, and otherwise a
     `Miss`.
     """
 

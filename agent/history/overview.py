@@ -42,10 +42,9 @@ def select_trends(trends: Sequence[Trend], names: Sequence[str]) -> tuple[Trend,
 def most_relevant(trends: Sequence[Trend], most: int = _MOST_SHOWN) -> tuple[Trend, ...]:
     """Return at most `most` trends, the most relevant trends first.
 
-    The trends of the volumetric errors and of the held-out balls (balls not used for the estimate) come first, in the
-    order of `trends`. Of the other trends, those with a tolerance come before those without. In each of these two
-    groups, trends with an alarm come first. Trends that are still equal are sorted by the significance of their drift,
-    the most significant first.
+    The trends of the volumetric errors and of the held-out balls come first, in the order of `trends`. Of the other
+    trends, those with a tolerance come before those without. In each of these two groups, trends with an alarm come
+    first. Trends that are still equal are sorted by the significance of their drift, the most significant first.
     """
     volumetric = [trend for trend in trends if trend.series.name in VOLUMETRIC]
     others = [trend for trend in trends if trend.series.name not in VOLUMETRIC]
@@ -54,8 +53,8 @@ def most_relevant(trends: Sequence[Trend], most: int = _MOST_SHOWN) -> tuple[Tre
 
 
 def alarms_of(trends: Sequence[Trend]) -> tuple[TrendAlarm, ...]:
-    """Return the alarms of three kinds of trends: those of the volumetric errors, of the held-out balls (balls not used
-    for the estimate), and of all series with a tolerance.
+    """Return the alarms of three kinds of trends: those of the volumetric errors, of the held-out balls, and of all
+    series with a tolerance.
 
     Other alarms are omitted, because among a hundred coefficients of the error model some exceed their control limits
     by chance.

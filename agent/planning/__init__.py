@@ -1,3 +1,3 @@
 """Planning of a run before anything moves: preparation of the job from the settings, measuring order, cycle time, and
-preflight (simulated execution of the whole plan).
+preflight.
 """

@@ -69,7 +69,7 @@ def load_case(
     stations: int | None = None,
     tool: str | None = None,
 ) -> Job:
-    """Return the job (prepared calibration) that the settings file `config` describes.
+    """Return the job that the settings file `config` describes.
 
     If `machine`, `artefact` or `tool` is given, it replaces the machine file, the artefact file or the tool of the
     settings. If `stations` is given, the stations of the settings are replaced by this number of stations, spaced

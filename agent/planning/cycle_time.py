@@ -78,7 +78,7 @@ def machine_minutes(job: Job, positions: Sequence[Position]) -> MachineMinutes:
     """Return the machine time for measuring `positions` in the given order.
 
     Positions at the same station must be contiguous. At the start, the axes are at the lower end of their travel, and
-    both angles of the rotary mount (azimuth and elevation) are zero. Only `positions` are timed; the held-out positions
+    azimuth and elevation of the rotary mount are zero. Only `positions` are timed; the held-out positions
     of `job` are not included.
     """
     order = MeasuringOrder(PREFIX, tuple(positions), job.settings.stations.standing_at)

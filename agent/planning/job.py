@@ -94,8 +94,8 @@ class Job:
     def procedure(self) -> Procedure:
         """Measuring procedure for the design of position sets and for the error budget.
 
-        It consists of the measuring layout (places of the artefact, reach of the axes) and of the covariance of the
-        measured ball centres. It contains neither devices nor a measuring order.
+        It consists of the measuring layout and of the covariance of the measured ball centres. It contains neither
+        devices nor a measuring order.
         """
         probing = self.rules.probing
         covariance = centre_covariance(probing.directions, probing.touch_sigma_mm)
@@ -103,8 +103,8 @@ class Job:
 
     @cached_property
     def measuring_order(self) -> MeasuringOrder:
-        """Order in which the position set and the held-out positions (used only for verification) are measured before
-        the new compensation table is active.
+        """Order in which the position set and the held-out positions are measured before the new compensation table is
+        active.
         """
         both = (*self.positions, *self.held_out)
         carried = self.rules.change.moves_artefact

@@ -1,6 +1,4 @@
-"""Preparation of a job (calibration that can be planned and carried out) from the settings and from the files that the
-settings name. No device is contacted.
-"""
+"""Preparation of a job from the settings and from the files that the settings name. No device is contacted."""
 
 from __future__ import annotations
 
@@ -90,7 +88,7 @@ def prepare_job(settings: Settings, base: Path) -> Job:
 
 
 def _held_out_choice(job: Job) -> HeldOutChoice:
-    """Return the held-out positions that the settings list, or else their choice, which is made when it is read."""
+    """Return the held-out positions that the settings list; if there are none, a choice made on first access."""
     if job.settings.verification.positions_deg is None:
         held_out_grid(job.settings)
         return LazyHeldOut(job)

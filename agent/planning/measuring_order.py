@@ -39,7 +39,7 @@ Angles = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class OrderOptimiser:
-    """Optimiser of the order of stations and positions for one measuring layout (artefact, stations and tool).
+    """Optimiser of the order of stations and positions for one measuring layout.
 
     If the rules ask for plain paths between positions, only the turns of the mount are counted. Plain paths lead by way
     of the retreat plane, which no part of artefact or mount reaches, and all of them take about the same time.

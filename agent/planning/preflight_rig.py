@@ -1,4 +1,4 @@
-"""Rig (set of devices) of the preflight, the simulated execution of a plan. One simulated device has all roles."""
+"""Rig of the preflight, the simulated execution of a plan. One simulated device has all roles."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from drivers.roles import CompensationStore, Machine, Operator, Probe, Thermomet
 
 
 def assemble_preflight_rig(job: Job, clock: VirtualClock, start_mm: Point | None) -> Rig:
-    """Return a rig (set of devices) for the simulated execution of the plan of `job`. One simulated device has all
-    roles: machine, probe, mount and so on.
+    """Return a rig for the simulated execution of the plan of `job`. One simulated device has all roles: machine,
+    probe, mount and so on.
 
     The setting `preflight.driver` names the driver of this device. The device simulates the machine described by the
     machine file, but without geometric errors, because a preflight checks only the procedure.

@@ -152,8 +152,7 @@ def retreat_of(
     timing: TimingSettings,
     machine: MachineDescription,
 ) -> Retreat:
-    """Return the retreat plane (the end of travel from which the stylus points towards the artefact), a park location
-    beside each station, and the rules of the paths of the probe.
+    """Return the retreat plane, a park location beside each station, and the rules of the paths of the probe.
 
     An artefact that is placed by hand is measured on paths above it, so there are no rules of paths between its parts.
     Each park location is within the travel of the axes. Raises ConfigurationError if there is no room for a park

@@ -1,8 +1,7 @@
 """Safety rules that apply to every measuring plan. For example, every move must stop if the probe trips, and nothing
 may move before the permissions have been read.
 
-The preflight (simulated execution of the plan) checks these rules at each step, because the simulated machine may
-permit more than the rules.
+The preflight checks these rules at each step, because the simulated machine may permit more than the rules.
 """
 
 from __future__ import annotations

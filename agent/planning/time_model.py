@@ -28,7 +28,7 @@ class TimeModel:
     rotary device that holds the artefact; both axes turn simultaneously. `command_latency_s`, `touch_latency_s` and
     `turn_latency_s` are added to the times of each move, touch and turn. The latency of a turn includes the time in
     which the mount settles. `carrying_s` is the time that the operator needs to put the artefact and the mount at
-    another station (place of the mount), or to place the artefact by hand.
+    another station, or to place the artefact by hand.
     """
 
     rapid_mm_per_s: Point
@@ -49,7 +49,7 @@ class TimeModel:
 
     def touch_s(self, path: StraightPath, feed_mm_per_s: float, trip_mm: float | None) -> tuple[float, Point]:
         """Return the time in s of a touch along `path`, without the latency of the command, and the axis positions (3,)
-        at the end of the touch. A touch is a move until the probe trips.
+        at the end of the touch.
 
         `trip_mm` is the distance along `path` at which the probe trips and the axes start to brake; it is None if the
         probe does not trip (a miss).

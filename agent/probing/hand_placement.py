@@ -113,7 +113,7 @@ class PlacementTask:
         probing: ProbingParameters,
         rules: HandPlacement,
     ) -> PlacementTask:
-        """Raises MeasurementFault if the artefact cannot be located safely in this position."""
+        """Return the task for `position`. Raises MeasurementFault if the artefact cannot be located safely in it."""
         nominal = layout.nominal(position)
         reachable = [int(ball) for ball in np.flatnonzero(layout.reachable(position, nominal))]
         try:

@@ -1,7 +1,7 @@
-"""Measuring plan of one position (one orientation and place of the artefact). The plan moves the stylus tip clear of
-the artefact, turns the mount that holds the artefact, and measures the balls that determine the pose of the artefact:
-two end balls, and a third ball if the balls are not close to one line. From their centres it corrects the expected
-centres of the other balls and measures these balls. At the end it measures the first ball again."""
+"""Measuring plan of one position. The plan moves the stylus tip clear of the artefact, turns the mount that holds the
+artefact, and measures the balls that determine the pose of the artefact: two end balls, and a third ball if the balls
+are not close to one line. From their centres it corrects the expected centres of the other balls and measures these
+balls. At the end it measures the first ball again."""
 
 from __future__ import annotations
 

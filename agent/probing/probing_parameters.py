@@ -38,7 +38,7 @@ class BallLimits:
 
     `radius_limit_mm` is the limit of the deviation from the expected radius. `form_limit_mm` is the limit of the form
     error. `touch_limit_mm` is the limit of each residual of the fitted sphere. `pole_limit_mm` is the limit of the
-    distance of the touch at the pole (the point that faces the stylus) from the sphere through the other touches. The
+    distance of the touch at the pole from the sphere through the other touches. The
     names are those of the settings, in mm.
     """
 
@@ -61,10 +61,10 @@ class FastTouch:
 class Stylus:
     """Stylus that has been qualified by touches of a ball.
 
-    `radius_mm` is the effective sum of the radii of ball and tip; it is smaller than the nominal sum by the pretravel
-    (travel of the tip between contact and trip). `radius_sigma_mm` is the standard uncertainty of the effective sum for
-    any single ball. `fixed` is True if spheres are fitted with this radius. `pretravel` is the correction that is
-    applied to every touch; it is None if touches are not corrected.
+    `radius_mm` is the effective sum of the radii of ball and tip; it is smaller than the nominal sum by the pretravel.
+    `radius_sigma_mm` is the standard uncertainty of the effective sum for any single ball. `fixed` is True if spheres
+    are fitted with this radius. `pretravel` is the correction that is applied to every touch; it is None if touches are
+    not corrected.
     """
 
     radius_mm: float
@@ -78,11 +78,11 @@ class ProbingParameters:
     """Parameters of the probing of all balls in a run.
 
     `directions` (k, 3) holds the k unit vectors along which the tip moves towards the ball; the first of them points to
-    the pole, which faces the stylus. All balls are touched along these vectors. Pretravel (travel of the tip between
-    contact and trip) and its dependence on the direction (lobing) therefore shift all centres equally and cancel in
-    their differences. At contact, the centres of ball and tip are `ball_radius_mm` + `tip_radius_mm` apart.
-    `feed_mm_per_s` is the feed of the measuring touch. `fast_touch` is a fast touch before the measuring touch, or
-    None. `guarded_feed_mm_per_s` is the feed of moves near a ball that is being located.
+    the pole, which faces the stylus. All balls are touched along these vectors. Pretravel and its dependence on the
+    direction (lobing) therefore shift all centres equally and cancel in their differences. At contact, the centres of
+    ball and tip are `ball_radius_mm` + `tip_radius_mm` apart. `feed_mm_per_s` is the feed of the measuring touch.
+    `fast_touch` is a fast touch before the measuring touch, or None. `guarded_feed_mm_per_s` is the feed of moves near
+    a ball that is being located.
 
     `narrow_search` holds the search distances for a ball whose location is well known, and `wide_search` longer ones. A
     ball found farther than `recentre_mm` from its expected centre is measured again. `repeats` is the largest number of
@@ -119,8 +119,8 @@ class ProbingParameters:
 
     @cached_property
     def locating_directions(self) -> Array:
-        """Touch directions (5, 3) for locating a ball: one towards the pole (the point that faces the stylus) and a
-        ring of directions near it. They keep a tip that is some millimetres off its path clear of the ball's holder."""
+        """Touch directions (5, 3) for locating a ball: one towards the pole and a ring of directions near it. They keep
+        a tip that is some millimetres off its path clear of the ball's holder."""
         return ring_directions(LOCATING_RINGS, self.stylus_axis)
 
     @property

@@ -1,5 +1,5 @@
-"""Plans that write a compensation table to an inactive bank (memory of the controller for one table), read it back,
-compare it, activate the bank, and check that it is active."""
+"""Plans that write a compensation table to an inactive bank, read it back, compare it, activate the bank, and check
+that it is active."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from drivers.roles import Activation, TableImage
 
 @dataclass(frozen=True)
 class ActiveCompensation:
-    """Active compensation. `bank` is the number of the controller's active bank (memory for one compensation table), or
-    0 if there is no compensation. `table` is the table in that bank, or None if `bank` is 0."""
+    """Active compensation. `bank` is the number of the controller's active bank, or 0 if there is no compensation.
+    `table` is the table in that bank, or None if `bank` is 0."""
 
     bank: int
     table: TableImage | None
@@ -43,8 +43,8 @@ def read_state(prefix: str) -> Plan[ActiveCompensation]:
 
 
 def choose_bank(banks: tuple[int, ...], active: int) -> int:
-    """Return a bank (memory of the controller for one compensation table) of `banks` that is inactive and can be
-    written. Bank 0 means no compensation and is never written. Raises StoreError if no such bank exists."""
+    """Return a bank of `banks` that is inactive and can be written. Bank 0 means no compensation and is never written.
+    Raises StoreError if no such bank exists."""
     free = [bank for bank in banks if bank not in (0, active)]
     if not free:
         raise StoreError(

@@ -1,6 +1,5 @@
 """Stylus qualification by dense touches of one ball. It gives the effective radius, that is, the radius of ball and tip
-together as the probe measures it. If a pretravel map is requested, it also gives the pretravel (travel of the tip
-between contact and trip) for each direction."""
+together as the probe measures it. If a pretravel map is requested, it also gives the pretravel for each direction."""
 
 from __future__ import annotations
 
@@ -24,8 +23,8 @@ class QualificationRules:
 
     `directions` (k, 3) holds the k touch directions of the dense pattern; the first of them points to the pole, which
     faces the stylus. `ball` is the number of the ball on which the stylus is qualified; if it is None, the first ball
-    that is accessible from all directions is used. `with_map` is True if a map of the pretravel (travel of the tip
-    between contact and trip) is fitted. `spread_mm` is the standard deviation of the radii of the artefact's balls.
+    that is accessible from all directions is used. `with_map` is True if a map of the pretravel is fitted. `spread_mm`
+    is the standard deviation of the radii of the artefact's balls.
     """
 
     directions: Array

@@ -1,11 +1,10 @@
 """Repetition of positions after a change of temperature. If the temperature of the machine has changed during the run,
 the positions that were measured first are measured again at the end.
 
-Stations (places of the artefact along the long axis) are measured one after the other. A change with time therefore
-looks like a change along the travel: a scale of an axis that grows with time and a nonlinear scale give the same
-readings. Only positions that are measured both early and late distinguish these two causes. The artefact may have moved
-as a rigid body between the two measurements. Such a motion is absorbed by the pose of the mount that is estimated for
-the repeated position.
+Stations are measured one after the other. A change with time therefore looks like a change along the travel: a scale of
+an axis that grows with time and a nonlinear scale give the same readings. Only positions that are measured both early
+and late distinguish these two causes. The artefact may have moved as a rigid body between the two measurements. Such a
+motion is absorbed by the pose of the mount that is estimated for the repeated position.
 """
 
 from __future__ import annotations

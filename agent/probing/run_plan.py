@@ -1,5 +1,5 @@
 """Measurement of all positions of a run, station by station. For each position, the ball centres are predicted, the
-balls are measured, and the estimated pose of the mount (its small deviation from the nominal place) is updated."""
+balls are measured, and the estimated pose of the mount is updated."""
 
 from __future__ import annotations
 
@@ -62,8 +62,7 @@ class MeasuredPositions:
 
     `left_out` holds the keys of the positions that were not measured because too few balls are within reach.
     `standing_at` is the station of the artefact at the end. `mount_poses` maps each station to the estimated pose of
-    its mount (the small deviation from the nominal place). `placed` is the position in which an artefact that is placed
-    by hand stands at the end.
+    its mount. `placed` is the position in which an artefact that is placed by hand stands at the end.
     """
 
     positions: tuple[MeasuredPosition, ...]

@@ -1,5 +1,5 @@
-"""Change from one station (place of the mount along the long axis) to the next. The operator carries the mount or the
-artefact, unless every station has a mount and an artefact of its own."""
+"""Change from one station to the next. The operator carries the mount or the artefact, unless every station has a mount
+and an artefact of its own."""
 
 from __future__ import annotations
 

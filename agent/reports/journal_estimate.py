@@ -47,9 +47,8 @@ def journal_estimate(stored: StoredEstimate, unresolved_mm2: float) -> JournalEs
     """Return the estimate of a run in the form that a report shows. `stored` is the estimate as the journal contains
     it.
 
-    `unresolved_mm2` is the variance, in mm² for each direction, of a part of the misfit (the error field that the error
-    model cannot represent). This part varies over distances too short for the functions (modes) by which the misfit is
-    estimated.
+    `unresolved_mm2` is the variance, in mm² for each direction, of a part of the misfit. This part varies over
+    distances too short for the functions (modes) by which the misfit is estimated.
     """
     document = stored.document
     return JournalEstimate(

@@ -36,10 +36,10 @@ RECORD = "export.json"
 class TableToExport:
     """Compensation table to be exported, with its origin.
 
-    `origin` is the name of the table's file, or of the bank (memory of a controller) that contains it, as it is shown
-    to people. `estimate_file` contains the estimate of the machine. If it is None, the machine is assumed to have
-    exactly the errors that the table corrects. `resolution_mm` is the resolution of the integers in which a controller
-    stored the table; it is 0 for a table from a file.
+    `origin` is the name of the table's file, or of the bank that contains it, as it is shown to people. `estimate_file`
+    contains the estimate of the machine. If it is None, the machine is assumed to have exactly the errors that the
+    table corrects. `resolution_mm` is the resolution of the integers in which a controller stored the table; it is 0
+    for a table from a file.
     """
 
     table: CompensationTable

@@ -105,9 +105,8 @@ def estimate_machine(
     not possible.
 
     If `order` is "evidence", the order with the largest Bayesian evidence is used. The evidence of several orders can
-    be compared only if the prior population (distribution of the errors of machines of one make) is used; otherwise,
-    the order of the machine file is used. If an earlier estimate is carried over, the order of that estimate is used in
-    any case.
+    be compared only if the prior population is used; otherwise, the order of the machine file is used. If an earlier
+    estimate is carried over, the order of that estimate is used in any case.
     """
     check_shape(observations, artefact)
     if options.carried_over is not None:

@@ -107,8 +107,8 @@ def triple(values: Array) -> tuple[float, float, float]:
 
 @dataclass(frozen=True)
 class ProbeRing:
-    """Touches of the stylus qualification at one latitude of the ball, and the map of the pretravel (travel of the tip
-    between contact and trip) at that latitude. The pole, which faces the stylus, has the latitude 90°.
+    """Touches of the stylus qualification at one latitude of the ball, and the map of the pretravel at that latitude.
+    The pole, which faces the stylus, has the latitude 90°.
 
     `angle_deg` (k,) and `residual_um` (k,) contain the angle about the stylus and the residual of each of the k
     touches. `map_angle_deg` (m,) contains m angles, and `map_um` (m,) contains the pretravel at these angles. If there

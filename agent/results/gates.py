@@ -173,8 +173,7 @@ def _contradiction(check: BallCheck) -> str:
 
 
 def change_gate(change_um: float, expected_um: float, limits: GateSettings) -> Gate:
-    """Return the gate (limit) for the change of the machine's error field since the last accepted night (the last run
-    whose estimate was accepted as the reference).
+    """Return the gate (limit) for the change of the machine's error field since the last accepted night.
 
     `change_um` is the rms of the change over the workspace after removal of the best-fitting rigid motion.
     `expected_um` is the rms that is expected from the uncertainties and from the drift since that night.
@@ -276,8 +275,8 @@ def reasons(gates: Sequence[Gate]) -> str:
 
 
 def require_passed(gates: Sequence[Gate], consent: str = "") -> None:
-    """Raise GateRefused if one of `gates` (limits of the estimate and the table) was not passed. The message names
-    every such gate and ends with a remedy and `consent`, a sentence on what to do otherwise."""
+    """Raise GateRefused if one of `gates` was not passed. The message names every such gate and ends with a remedy and
+    `consent`, a sentence on what to do otherwise."""
     if names_of_failed(gates):
         remedy = BETTER_CERTIFICATE if CERTIFICATE in names_of_failed(gates) else MORE_POSITIONS
         raise GateRefused(f"no table was written: {reasons(gates)}", hint=f"{remedy}{consent}")

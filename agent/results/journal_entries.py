@@ -96,8 +96,8 @@ def record_held_out(
     before: Sequence[MeasuredBall],
     after: Sequence[MeasuredBall],
 ) -> None:
-    """Write to the journal the rms residual of each held-out position (measured, but not used for the estimate), before
-    and after activation of the new table, in µm. `artefact` is the one with which the table was proved.
+    """Write to the journal the rms residual of each held-out position, before and after activation of the new table, in
+    µm. `artefact` is the one with which the table was proved.
 
     Residuals are computed at displayed axis positions, to which the corrections of the table are not added. A position
     is left out if too few balls were found after activation to determine its pose. If too few balls were found before

@@ -1,5 +1,4 @@
-"""Prediction of the accuracy of a run from the ball positions of its preflight (simulated execution of the complete
-run).
+"""Prediction of the accuracy of a run from the ball positions of its preflight.
 
 The prediction is possible because the covariance of the estimate depends on the ball positions, but not on the measured
 values.
@@ -42,7 +41,7 @@ class PredictedAccuracy:
 
 def predict_accuracy(job: Job, measured: MeasuredPositions) -> PredictedAccuracy:
     """Return the rank of the estimate, the volumetric compensated error (VCE) and the residuals of the held-out
-    positions that are predicted for the positions `measured` in a preflight (simulated run).
+    positions that are predicted for the positions `measured` in a preflight.
 
     The held-out positions, which serve only for the proof of the table, are not used for the estimate. Raises
     ConfigurationError if the other positions cannot identify the machine.
@@ -71,8 +70,7 @@ def _held_out_um(job: Job, measured: MeasuredPositions, estimate: Estimate) -> d
 
 
 def preflight_estimate(job: Job, measured: MeasuredPositions) -> Estimate:
-    """Return the estimate from the balls of a preflight (simulated run). Its covariance is the covariance predicted for
-    the run.
+    """Return the estimate from the balls of a preflight. Its covariance is the covariance predicted for the run.
 
     Raises ConfigurationError if the position set cannot identify the machine.
     """

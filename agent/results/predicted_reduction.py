@@ -1,5 +1,5 @@
-"""Reduction of the mean square of the held-out balls (measured, but not used for the estimate) that a new compensation
-table is predicted to show, and the noise in which it must be shown.
+"""Reduction of the mean square of the held-out balls that a new compensation table is predicted to show, and the noise
+in which it must be shown.
 
 Let s be the residuals of the held-out balls with the former table and n the noise of the touches, in f independent
 components of standard deviation σ. The measured square |s + n|² has the variance 4 |s|² σ² + 2 f σ⁴. The measured

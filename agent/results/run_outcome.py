@@ -17,7 +17,7 @@ from twin.artefact.artefact_calibration import ArtefactCalibration
 
 @dataclass(frozen=True)
 class Proof:
-    """Result of the proof of a new compensation table at held-out positions (measured, but not used for the estimate).
+    """Result of the proof of a new compensation table at held-out positions.
 
     `before_um` and `after_um` are the rms residuals per ball before and after activation of the table. `predicted_um`
     is the prediction of `after_um`. `chi2_normalised` compares the residuals after activation with their prediction.
@@ -37,9 +37,8 @@ class Confirmation:
 
     `kept_um` and `new_um` are the volumetric errors expected with the active and with a new table, after removal of the
     best-fitting rigid motion. `min_gain` is the relative decrease from which a new table is written. `held_out_um` is
-    the rms residual of the held-out balls (measured, but not used for the estimate) with the active table.
-    `chi2_normalised` compares them with the prediction of the estimate. `reason` states why the active table is not
-    confirmed; it is empty if it is.
+    the rms residual of the held-out balls with the active table. `chi2_normalised` compares them with the prediction of
+    the estimate. `reason` states why the active table is not confirmed; it is empty if it is.
     """
 
     kept_um: float
@@ -92,8 +91,7 @@ class SuspectedError:
 
 @dataclass(frozen=True)
 class NightReport:
-    """Comparison of the machine with the last accepted night (the last run whose estimate was accepted as the
-    reference), and the decision of a nightly run or verification.
+    """Comparison of the machine with the last accepted night, and the decision of a nightly run or verification.
 
     `since` is the identity of the run of the last accepted night, and `nights` is the number of nights since then.
 
@@ -101,9 +99,8 @@ class NightReport:
     the active table at the end of the last accepted night. `ve_now_um` is expected with the active table now.
     `ve_after_um` is expected with a table made from the present estimate.
 
-    `held_out_um` is the rms residual of the held-out balls (measured, but not used for the estimate) at displayed axis
-    positions, and `held_out_predicted_um` is its prediction. `chi2_normalised` compares all ball centres with their
-    prediction.
+    `held_out_um` is the rms residual of the held-out balls at displayed axis positions, and `held_out_predicted_um` is
+    its prediction. `chi2_normalised` compares all ball centres with their prediction.
 
     Three values compare a fused night with the nights before. `fit_probability` is the probability of a night that
     contradicts their prediction as much as this one or more. `drift_factor` is the factor by which the machine drifts

@@ -32,8 +32,8 @@ def table_of(image: TableImage, tool_offset_mm: Array) -> CompensationTable:
     """Return the compensation table with the corrections that a controller applies if it stores `image`. The controller
     interpolates between the nodes trilinearly and keeps the corrections constant outside the grid.
 
-    A controller stores neither the anchor (point at which the correction is zero) nor the measured region. In the
-    returned table, the anchor is therefore the first node of the grid, and no node counts as extrapolated.
+    A controller stores neither the anchor nor the measured region. In the returned table, the anchor is therefore the
+    first node of the grid, and no node counts as extrapolated.
     """
     nodes = [
         origin + step * np.arange(count, dtype=np.float64)

@@ -2,8 +2,7 @@
 
 The active table is kept unless the new table is expected to be better by a stated margin. Nothing is written then, and
 the active table is confirmed. If a new table was written, it must show the reduction that was predicted at the held-out
-balls (measured, but not used for the estimate), as far as the noise of the touches lets it be seen; otherwise the
-former table is restored.
+balls, as far as the noise of the touches lets it be seen; otherwise the former table is restored.
 
 Let e be the true deviation of the machine, ê its estimate with the covariance C, and c₀ and c₁ the corrections of the
 active and of the new table, with c₁ = -ê. The mean square that is left with the active table is expected to be

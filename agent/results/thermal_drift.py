@@ -1,5 +1,5 @@
-"""Treatment of the machine's thermal drift during a run: selection of the balls, thermal regressors (temperature
-changes on which the drift depends) and options of the identification."""
+"""Treatment of the machine's thermal drift during a run: selection of the balls, thermal regressors and options of the
+identification."""
 
 from __future__ import annotations
 

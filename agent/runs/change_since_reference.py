@@ -1,5 +1,5 @@
-"""Change of a machine since the last accepted night (the last run whose estimate was accepted as the reference): the
-expected change, and the change according to a new estimate."""
+"""Change of a machine since the last accepted night: the expected change, and the change according to a new
+estimate."""
 
 from __future__ import annotations
 

@@ -123,8 +123,8 @@ class IdentificationInput:
 
 @dataclass(frozen=True)
 class IdentificationResult:
-    """Result of an identification from files. `even_so` is True if the table is written although a gate (limit of the
-    estimate or the table) did not pass."""
+    """Result of an identification from files. `even_so` is True if the table is written although a gate did not
+    pass."""
 
     run_id: str
     timestamp: str

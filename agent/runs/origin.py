@@ -29,7 +29,7 @@ KINDS = {kind.name: kind for kind in (FullCalibration, Verification, Night, OneB
 
 @dataclass(frozen=True)
 class Origin:
-    """Settings, kind and start conditions of a run that has passed its preflight (simulated execution).
+    """Settings, kind and start conditions of a run that has passed its preflight.
 
     `base` is the directory to which relative paths refer. `files` maps the path of each input file to the SHA-256 of
     the file. `begun_s` is the time of the machine's clock in s at the end of the preflight, and `begun_at` is the UTC
@@ -73,7 +73,7 @@ def origin_record(settings: Settings, kind: Kind, base: Path, start: StartCondit
 
 def read_origin(reader: JournalReader, run: int) -> Origin:
     """Return the origin of the run with the number `run`. Raises InputError if the journal does not contain the origin,
-    if the run did not pass its preflight (simulated execution), or if this version cannot read its settings."""
+    if the run did not pass its preflight, or if this version cannot read its settings."""
     row = reader.origin(run)
     if row is None or row.begun_s is None or row.begun_at is None:
         raise InputError("the journal does not store how this run began", hint="start a new run")

@@ -2,8 +2,7 @@
 repair if necessary.
 
 Only one state must be repaired: a table is active that was never proved by measurement. In this case, the former table
-is reactivated. All other states are complete and consistent, because a bank (memory of the controller for one table) is
-never written while it is active.
+is reactivated. All other states are complete and consistent, because a bank is never written while it is active.
 """
 
 from __future__ import annotations
@@ -27,8 +26,8 @@ from drivers.roles import MotionState
 
 @dataclass(frozen=True)
 class RecordedBank:
-    """Number of a bank (memory of the controller for one compensation table), with the CRC-32 of the table in it. The
-    CRC-32 is None for an empty bank and for bank 0 (no compensation)."""
+    """Number of a bank, with the CRC-32 of the table in it. The CRC-32 is None for an empty bank and for bank 0 (no
+    compensation)."""
 
     number: int
     crc32: int | None
@@ -57,10 +56,10 @@ def reconcile(rig: Rig, state_directory: Path, *, of_run: int | None = None, res
     """Compare the controller's active compensation with the journal of earlier runs. If a table is active that was
     never proved by measurement, reactivate the table that was active before it.
 
-    This former table is reactivated only if `restore` is set and the machine permits it. `rig` (the devices of the
-    machine) must be open; the machine does not move. The comparison refers to the run with the number `of_run`. If
-    `of_run` is None, it refers to the last run that read the compensation. Raises DeviceError if the controller cannot
-    be read or refuses an action, and InputError if the journal cannot be read.
+    This former table is reactivated only if `restore` is set and the machine permits it. `rig` must be open; the
+    machine does not move. The comparison refers to the run with the number `of_run`. If `of_run` is None, it refers to
+    the last run that read the compensation. Raises DeviceError if the controller cannot be read or refuses an action,
+    and InputError if the journal cannot be read.
     """
     last = _last_compensation(state_directory, of_run)
     unfinished = unfinished_run(state_directory) if of_run is None else None

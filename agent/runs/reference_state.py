@@ -1,5 +1,4 @@
-"""Reference state of a machine: the estimate of the last accepted night (the last run whose estimate was accepted as
-the reference), and the table that has been active since then.
+"""Reference state of a machine: the estimate of the last accepted night, and the table that has been active since then.
 
 The journal, the database of all runs, is the only source of the reference state. One kind of decision in it accepts an
 estimate and names the table that is active from then on. Another kind states that a full calibration is needed; such a
@@ -67,8 +66,7 @@ class AcceptedTable:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceState:
-    """Estimate and compensation table of the last accepted night (the last run whose estimate was accepted as the
-    reference). A full calibration counts as a night here.
+    """Estimate and compensation table of the last accepted night. A full calibration counts as a night here.
 
     `run_id` is the run of that night. `since` is the UTC time of its acceptance in ISO 8601. `table` is the table that
     has been active since then. `estimate` is the estimate of that night, which becomes the prior of the next night.
@@ -88,8 +86,8 @@ class ReferenceState:
 
 @dataclass(frozen=True)
 class FullCalibrationNeed:
-    """Decision that a full calibration is needed. It was made by the run `run_id`; the next slot (machine time
-    available for a night) that permits a full calibration is used for it."""
+    """Decision that a full calibration is needed. It was made by the run `run_id`; the next slot that permits a full
+    calibration is used for it."""
 
     run_id: str
     since: str
@@ -102,8 +100,7 @@ def record_accepted(journal: RunJournal, accepted: AcceptedTable) -> None:
 
 
 def record_full_calibration_need(journal: RunJournal, reason: str) -> None:
-    """Record in the journal that a full calibration is needed in the next slot (machine time available for a night)
-    that permits it."""
+    """Record in the journal that a full calibration is needed in the next slot that permits it."""
     journal.decision(_FULL_NEEDED, {"reason": reason})
 
 

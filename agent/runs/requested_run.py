@@ -1,4 +1,4 @@
-"""Job (machine, artefact, settings and positions to measure) and kind of a run, made from the request for the run."""
+"""Job and kind of a run, made from the request for the run."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ from agent.settings.schema import Settings
 
 
 def job_of(request: RunRequest, settings: Settings, base: Path) -> Job:
-    """Return the job (machine, artefact, settings and positions to measure) for a request. Raises UserError if the
-    request does not fit the machine.
+    """Return the job for a request. Raises UserError if the request does not fit the machine.
 
     `base` is the directory to which relative paths refer. A request for a calibration may name stations; the artefact
     is then measured only at these stations. A request for a night may name the station of the artefact. If that night

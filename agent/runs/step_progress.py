@@ -14,7 +14,7 @@ from twin.units import S_PER_MIN
 
 class StepProgress:
     """Observer of the steps of a run. It counts touches and balls, and announces the progress according to the times
-    that the preflight (simulated execution) has predicted."""
+    that the preflight has predicted."""
 
     def __init__(
         self, tracker: RunStateTracker, further: Observer, link_interruptions: Callable[[], Mapping[str, int]]

@@ -97,8 +97,7 @@ class Event:
 
 
 class Control(Protocol):
-    """Interface through which every endpoint (HTTP, OPC UA, panel gateway) uses the owner of the machine, the object
-    that alone controls it."""
+    """Interface through which every endpoint uses the owner of the machine, the object that alone controls it."""
 
     def status(self) -> Status: ...
 

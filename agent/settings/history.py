@@ -21,8 +21,7 @@ class HistorySettings(StrictModel):
     - `machine` is the name of this machine in the history; by default it is the name of the machine file without its
       extension.
     - `ve_tolerance_um` is the tolerance of the volumetric error (VE) with the active compensation table, in µm.
-    - `held_out_tolerance_um` is the tolerance of the rms error of held-out balls (balls that are not used for the
-      estimate), in µm.
+    - `held_out_tolerance_um` is the tolerance of the rms error of held-out balls, in µm.
     - `parameter_tolerances` maps a geometric error (such as EXX) or a coefficient of its Legendre series (such as
       EXX[1]) to its tolerance in µm or µrad.
 

@@ -158,9 +158,9 @@ class QualificationSettings(StrictModel):
 class ReversalSettings(StrictModel):
     """Reversal test of the linear axes on the datum ball.
 
-    At each of two points per axis the ball is touched `touches` times from either side. Lost motion (difference of the
-    positions reached from either direction) above `limit_um` causes a warning. If `on_excess` is ``stop`` and the lost
-    motion exceeds the limit by more than its uncertainty, the run ends.
+    At each of two points per axis the ball is touched `touches` times from either side. Lost motion above `limit_um`
+    causes a warning. If `on_excess` is ``stop`` and the lost motion exceeds the limit by more than its uncertainty, the
+    run ends.
     """
 
     enabled: bool = True
@@ -265,8 +265,8 @@ class NightlySettings(StrictModel):
     (optimally selected) positions that complete the verification.
 
     `drift_um` is the rms length of the field by which the machine may change per night; the change is distributed like
-    the errors of the machine's family (its prior population). `scale_drift_um_per_m` is an additional drift per night
-    of the scale of each axis.
+    the errors of the machine's family. `scale_drift_um_per_m` is an additional drift per night of the scale of each
+    axis.
 
     The machine is out of limits in three cases. The normalised χ² of the prediction exceeds `max_chi2`. Or one error
     has changed abruptly, and the evidence for this step (ln of the likelihood ratio) is at least `step_evidence`. Or

@@ -1,5 +1,5 @@
-"""Studies of the procedure. Each study examines a case (machine, artefact and settings) by simulation and in closed
-form, and produces a figure with its numbers.
+"""Studies of the procedure. Each study examines a case by simulation and in closed form, and produces a figure with its
+numbers.
 
 A study is a function `run(case: StudyCase) -> StudyResult` in a module of this package. `STUDIES` lists these functions
 by name.

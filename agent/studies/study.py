@@ -70,7 +70,7 @@ class StudyCase:
     @property
     def assumptions(self) -> TruthAssumptions:
         """Assumptions about the true conditions of the measurement. The simulated machines are drawn from the family
-        (distribution of machine errors) that the machine file describes, and have the deflection given in this file.
+        that the machine file describes, and have the deflection given in this file.
         """
         return TruthAssumptions.of_case(self.machine)
 
@@ -94,7 +94,7 @@ class StudyCase:
 
     @property
     def stations(self) -> tuple[int, ...]:
-        """Numbers of the stations (places of the mount) at which named position sets, such as S1, are measured."""
+        """Numbers of the stations at which named position sets, such as S1, are measured."""
         return tuple(self.job.settings.procedure.stations or self.procedure.stations)
 
     def map(self, task: Callable[[Item], Result], items: Sequence[Item], what: str = "machines") -> list[Result]:

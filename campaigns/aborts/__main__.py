@@ -31,7 +31,12 @@ from time import perf_counter
 from typing import Any
 
 from campaigns.aborts.case import FORMER_BANK
-from campaigns.aborts.running import StepSelection, check_refused_and_restored, run_interrupted, uninterrupted_keys
+from campaigns.aborts.interrupted_runs import (
+    StepSelection,
+    check_refused_and_restored,
+    run_interrupted,
+    uninterrupted_keys,
+)
 
 MAX_LISTED = 20
 

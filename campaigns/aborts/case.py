@@ -38,8 +38,8 @@ The new table then reduces the errors so much, and the gates are so wide, that e
 
 
 def prepare_case(directory: Path, **sections: dict[str, Any]) -> Job:
-    """Return a job (prepared calibration) with three measured positions at one station and one held-out position, whose
-    measurement tests the result.
+    """Return a job with three measured positions at one station and one held-out position, whose measurement tests the
+    result.
 
     The settings do not say at which station the artefact stands, so the run asks the operator for it.
     """

@@ -1,5 +1,4 @@
-"""Trial of every bad plan (a plan that the agent must refuse). The last output line is JSON and lists the plans that
-were not refused for the right reason.
+"""Trial of every bad plan. The last output line is JSON and lists the plans that were not refused for the right reason.
 
 python -m campaigns.bad_plans
 """

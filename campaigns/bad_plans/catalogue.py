@@ -1,4 +1,4 @@
-"""Catalogue of all bad plans (plans that the agent must refuse). Each plan has a unique name."""
+"""Catalogue of all bad plans. Each plan has a unique name."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Bad plans (plans that the agent must refuse) whose files are wrong: well-formed but wrong settings, or invalid
-machine, artefact or position files.
-"""
+"""Bad plans whose files are wrong: well-formed but wrong settings, or invalid machine, artefact or position files."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
 from agent.planning.preflight import run_preflight
 from agent.settings.load import load_settings
-from campaigns.plans.drawing import toml
+from campaigns.plans.random_cases import toml
 from drivers.errors import VolcalError
 
 Document = dict[str, Any]
@@ -40,7 +40,7 @@ Change = Callable[[CaseFiles], None]
 
 @dataclass(frozen=True)
 class BadPlan:
-    """One bad plan (a plan that the agent must refuse) and the refusal, an error, that it must cause.
+    """One bad plan and the refusal, an error, that it must cause.
 
     `change` modifies the files of a good case. `error` is the type of the refusal, `words` are texts that its message
     must contain, and `where` gives the locations that the refusal must name, such as a step. The function `preflight`
@@ -115,9 +115,7 @@ def check_case(change: Change, directory: Path, preflight: Callable[[Job], objec
 
 
 def unchanged(_: CaseFiles) -> None:
-    """Leave the files of the case unchanged. The function is used for bad plans (plans that the agent must refuse) in
-    which only the steps are wrong.
-    """
+    """Leave the files of the case unchanged. The function is used for bad plans in which only the steps are wrong."""
 
 
 def setting(path: str, value: object) -> Change:

@@ -1,6 +1,4 @@
-"""Bad plans (plans that the agent must refuse) in which one numeric settings key is NaN, infinite or out of range.
-Every numeric settings key is covered.
-"""
+"""Bad plans in which one numeric settings key is NaN, infinite or out of range. All numeric keys are covered."""
 
 from __future__ import annotations
 

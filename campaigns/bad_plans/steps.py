@@ -1,4 +1,4 @@
-"""Bad plans (plans that the agent must refuse) with correct files and wrong steps.
+"""Bad plans with correct files and wrong steps.
 
 In each plan one step of the agent's procedure is replaced or omitted, or a further step is inserted before it.
 """
@@ -48,7 +48,7 @@ def rewrite_plan(plan: s.Plan[Both], rewrite: Rewrite) -> s.Plan[Both]:
 def replace_first(
     matches: Callable[[s.Step], bool], instead: Callable[[s.Step], Iterable[s.Step]]
 ) -> Callable[[Job], object]:
-    """Return a function that runs the preflight (simulated execution) of a job with one step of its procedure replaced.
+    """Return a function that runs the preflight of a job with one step of its procedure replaced.
 
     The first step for which `matches` returns True is replaced by the steps that `instead` returns. The returned
     function raises LookupError if no step matches.

@@ -3,8 +3,7 @@ history.
 
     python -m campaigns.fortnight [--figure trend.png] [--csv fortnight.csv]
 
-The output ends with one line of JSON. The exit code is 0 only if every claim (a tested statement about the result)
-holds.
+The output ends with one line of JSON. The exit code is 0 only if every claim holds.
 """
 
 from __future__ import annotations

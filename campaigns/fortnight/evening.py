@@ -1,5 +1,5 @@
-"""Record of one evening of the fortnight: the expected runs, the claims (tested statements), and the true machine
-errors that only the simulator knows.
+"""Record of one evening of the fortnight: the expected runs, the claims, and the true machine errors that only the
+simulator knows.
 """
 
 from __future__ import annotations

@@ -13,8 +13,8 @@ from agent.execution.journal_reader import open_journal
 from agent.results.run_outcome import Decision
 from agent.service.state.journal_state import INTERRUPTED_CODE
 from campaigns.fortnight.evening import Evening, ExpectedRun
-from campaigns.fortnight.house import STATUS_POLL_S, TIMEOUT_S, ServiceHost, wait_for
 from campaigns.fortnight.plant import FortnightPlant
+from campaigns.fortnight.service_process import STATUS_POLL_S, TIMEOUT_S, ServiceHost, wait_for
 from drivers.roles import Permission
 
 FIRST_EVENING = datetime(2026, 3, 2, tzinfo=UTC)
@@ -255,8 +255,7 @@ class Incidents:
 
 
 def read_estimate(host: ServiceHost, run_id: str) -> list[tuple[str, float, float]]:
-    """Return the name, the value and the standard uncertainty of every parameter of the estimate (identified machine
-    errors) of a run.
+    """Return the name, the value and the standard uncertainty of every parameter of the estimate of a run.
 
     The run must have exactly one estimate.
     """

@@ -10,8 +10,8 @@ from typing import Any
 from agent.execution.journal_reader import open_journal
 from agent.runs.reference_state import read_reference
 from campaigns.fortnight.evening import Evening, ExpectedRun
-from campaigns.fortnight.house import ServiceHost
 from campaigns.fortnight.plant import FortnightPlant
+from campaigns.fortnight.service_process import ServiceHost
 
 Row = dict[str, Any]
 

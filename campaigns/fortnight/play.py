@@ -14,7 +14,6 @@ import structlog
 
 from benchmarks.places import memory_directory
 from campaigns.fortnight.evening import Evening
-from campaigns.fortnight.house import ServiceHost
 from campaigns.fortnight.incidents import Incidents
 from campaigns.fortnight.ledger import (
     active_table_is_accepted,
@@ -24,6 +23,7 @@ from campaigns.fortnight.ledger import (
     read_trends,
 )
 from campaigns.fortnight.plant import FortnightPlant
+from campaigns.fortnight.service_process import ServiceHost
 from campaigns.nights.season import Season, full_calibration_vce_um
 from simulators.scenario import Scenario
 
@@ -199,8 +199,8 @@ def _judge(programme: Programme, played: FortnightResult) -> None:
 
 
 def trend_claims(played: FortnightResult) -> dict[str, bool]:
-    """Return the claims (tested statements) about the trends and alarms in the run history. The value of a claim is
-    True if the claim holds.
+    """Return the claims about the trends and alarms in the run history. The value of a claim is True if the claim
+    holds.
     """
     before, damaged, end = (played.trends[name] for name in ("before", "damaged", "end"))
     acting = {trend["name"]: trend for trend in before["trends"]}.get("ve_acting", {})

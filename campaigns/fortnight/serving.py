@@ -14,7 +14,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # must be set before numpy i
 
 from agent.service.daemon.logs import log_as_json
 from agent.service.daemon.serve import serve
-from campaigns.fortnight.almanac import SimulatedCalendar
+from campaigns.fortnight.simulated_calendar import SimulatedCalendar
 
 
 def main() -> None:

@@ -26,7 +26,7 @@ from multiprocessing import get_context
 from time import perf_counter
 from typing import Any
 
-from campaigns.grbl.running import Trial, run_disturbed
+from campaigns.grbl.disturbed_runs import Trial, run_disturbed
 
 RUN_S = 900.0
 """Approximate duration of the run in s of machine time."""

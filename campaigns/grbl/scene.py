@@ -13,7 +13,7 @@ from agent.execution.supervisor import Supervisor
 from agent.planning.job import Job
 from campaigns.aborts.case import build_case_world
 from campaigns.grbl.cable import VirtualCable
-from campaigns.plans.moving import AlarmClock
+from campaigns.plans.motion_run import AlarmClock
 from drivers.clock import Clock
 from drivers.registry import DeviceContext
 from drivers.roles import Miss, Touch, Vector

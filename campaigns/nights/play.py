@@ -14,8 +14,7 @@ the season are reported too.
 
     python -m campaigns.nights --nights 30 --step 17 [--figure nights.png] [--csv nights.csv]
 
-The output ends with one line of JSON. The exit code is 0 only if every claim (a tested statement about the nights)
-holds.
+The output ends with one line of JSON. The exit code is 0 only if every claim holds.
 """
 
 from __future__ import annotations
@@ -147,8 +146,8 @@ class SeasonMachine:
 
 
 def build_rig(world: World, clock: Clock, job: Job) -> Rig:
-    """Return a rig (the devices of a run) in which one simulated device, in this process, takes the place of every
-    device: machine, probe, mounts, table store, thermometer and operator.
+    """Return a rig in which one simulated device, in this process, takes the place of every device: machine, probe,
+    mounts, table store, thermometer and operator.
     """
     device = SimulatedMachineDevice(world, clock)
     mounts = dict.fromkeys(range(1, len(job.settings.stations.places_mm) + 1), device)
@@ -165,7 +164,7 @@ def build_rig(world: World, clock: Clock, job: Job) -> Rig:
 
 
 def verdict(season: Season, rows: Sequence[NightRow]) -> dict[str, object]:
-    """Return the claims (tested statements) about the nights and the figures on which they are based.
+    """Return the claims about the nights and the figures on which they are based.
 
     The value of a claim is True if the claim holds.
     """

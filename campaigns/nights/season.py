@@ -72,7 +72,7 @@ class Season:
 
 
 def load_season_case(state: Path) -> Job:
-    """Return the job (prepared calibration) of the shipped case study, with `state` as its state directory."""
+    """Return the job of the shipped case study, with `state` as its state directory."""
     settings = load_settings(CASE_STUDY).model_copy(update={"state_directory": state})
     return prepare_job(settings, SHIPPED_CONFIGURATION)
 

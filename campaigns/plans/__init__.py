@@ -1,5 +1,4 @@
-"""Trial with random plans, which are checked by a preflight (simulated execution) and run on a simulated machine with
-errors.
+"""Trial with random plans, which are checked by a preflight and run on a simulated machine with errors.
 
 The trial searches for collisions and for faulty plans that the agent does not refuse.
 """

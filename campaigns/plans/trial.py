@@ -1,6 +1,4 @@
-"""Trial of one random plan: a preflight (simulated execution), a run on a machine with errors, and a second run that is
-interrupted.
-"""
+"""Trial of one random plan: a preflight, a run on a machine with errors, and a second run that is interrupted."""
 
 from __future__ import annotations
 
@@ -19,9 +17,9 @@ from agent.runs.run_context import RunHooks
 from agent.runs.session import RunResult, carry_out
 from benchmarks.places import memory_directory
 from campaigns.nights.play import build_rig
-from campaigns.plans.drawing import DrawnCase, draw
-from campaigns.plans.judge import CollisionJudge, JudgeResult
-from campaigns.plans.moving import AlarmClock, MotionOnlyKind
+from campaigns.plans.collision_check import CollisionJudge, JudgeResult
+from campaigns.plans.motion_run import AlarmClock, MotionOnlyKind
+from campaigns.plans.random_cases import DrawnCase, draw
 from drivers.errors import UserError, VolcalError
 from simulators.world.world import World
 
@@ -52,8 +50,8 @@ class PlanTrial:
 
 
 def try_plan(seed: int, *, judged: bool = False) -> PlanTrial:
-    """Carry out the preflight (simulated execution) and both runs, one undisturbed and one interrupted, of the random
-    plan that `seed` gives, and return the result.
+    """Carry out the preflight and both runs, one undisturbed and one interrupted, of the random plan that `seed` gives,
+    and return the result.
 
     The function never raises an exception: a refusal is a regular result, and a defect is recorded as a failure.
     """

@@ -140,8 +140,7 @@ def patch_journal(kill_switch: KillSwitch) -> Callable[[], None]:
 
 
 def cache_preflight() -> None:
-    """Cache the result of the preflight (simulated execution of the plan) for each start position, because this result
-    does not change in the trial.
+    """Cache the result of the preflight for each start position, because this result does not change in the trial.
 
     Forked copies of the process inherit the cached result.
     """

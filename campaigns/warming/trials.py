@@ -205,7 +205,7 @@ def _vce_without_drift(run: WarmingRun, *, told: bool) -> float:
 
 
 def verdict(rows: Sequence[WarmingRow]) -> dict[str, object]:
-    """Return the three claims (tested statements) of the trial and the figures on which they are based.
+    """Return the three claims of the trial and the figures on which they are based.
 
     The value of a claim is True if the claim holds.
     """

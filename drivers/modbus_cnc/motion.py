@@ -43,9 +43,7 @@ It allows for look-ahead; at a reduced feed override, the limit is extended as l
 
 
 class ModbusMotionResult(NamedTuple):
-    """Result of a motion: its start position in mm, and the status image (contents of the controller's status block)
-    that shows its outcome.
-    """
+    """Result of a motion: its start position in mm, and the status image that shows its outcome."""
 
     start: Triple
     status: StatusImage
@@ -54,8 +52,7 @@ class ModbusMotionResult(NamedTuple):
 class ModbusMotion:
     """Executor of motions on a Modbus controller.
 
-    It starts a motion, renews the driver's heartbeat (a counter that the controller monitors) until the motion ends,
-    and returns the result.
+    It starts a motion, renews the driver's heartbeat until the motion ends, and returns the result.
 
     If an exception interrupts the wait for the end, the command STOP is sent before the exception propagates.
     """

@@ -39,7 +39,7 @@ class ModbusSession:
     """Communication session with one Modbus controller.
 
     All traffic passes through the session, so only the session sets the sequence numbers of commands and the driver's
-    heartbeat (a counter that the controller monitors).
+    heartbeat.
     """
 
     def __init__(self, link: ModbusLink, clock: Clock, settings: ModbusCncSettings) -> None:
@@ -80,7 +80,7 @@ class ModbusSession:
         self.link.close()
 
     def status(self) -> StatusImage:
-        """Read one status image (contents of the status block). Writes nothing.
+        """Read one status image. Writes nothing.
 
         The method checks that the controller's heartbeat has not stopped, and that the session knows the acknowledged
         sequence number.
@@ -88,7 +88,7 @@ class ModbusSession:
         return self._check_status(self.read_status_unchecked())
 
     def read_status_unchecked(self) -> StatusImage:
-        """Read one status image (contents of the status block) without checking its heartbeat and acknowledgement.
+        """Read one status image without checking its heartbeat and acknowledgement.
 
         The two are not checked because another client may be using the controller.
         """
@@ -107,9 +107,7 @@ class ModbusSession:
         return self.link.exchange_wire_time_s(1, self.layouts.status.size)
 
     def poll(self) -> StatusImage:
-        """Write a new value of the driver's heartbeat, and read and check one status image (contents of the status
-        block).
-        """
+        """Write a new value of the driver's heartbeat, and read and check one status image."""
         return self.write_and_read_status(
             self.settings.blocks.command, self._next_heartbeat().to_bytes(2, "big"), idempotent=True
         )

@@ -1,4 +1,4 @@
-"""Checks of a compensation table before it is staged (written to an inactive bank)."""
+"""Checks of a compensation table before it is staged."""
 
 from __future__ import annotations
 

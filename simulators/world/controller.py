@@ -41,7 +41,7 @@ JOG_MM_PER_S = 20.0
 class Latch:
     """Displayed axis positions in mm at the last trip of the probe.
 
-    `sequence` is the number of the touch (a move that stops when the probe trips) in which the probe tripped.
+    `sequence` is the number of the touch in which the probe tripped.
     """
 
     sequence: int
@@ -217,8 +217,7 @@ class Controller:
             self._state = MotionState.IDLE
 
     def fail(self, reason: str) -> None:
-        """Brake the axes and enter the fault state, as after an emergency stop or a lost heartbeat (sign of life) of
-        the agent.
+        """Brake the axes and enter the fault state, as after an emergency stop or a lost heartbeat of the agent.
 
         If the controller is already in a fault, it keeps the reason of the first fault.
         """

@@ -1,6 +1,4 @@
-"""Trip of a touch-trigger probe: pretravel (tip travel between contact and trip), lobing (its dependence on the touch
-direction), and noise.
-"""
+"""Trip of a touch-trigger probe: pretravel, lobing, and noise."""
 
 from __future__ import annotations
 

@@ -70,8 +70,8 @@ def first_turn_crash(workpiece: Workpiece, controller: Controller, start_s: floa
 
 
 def first_mount_collision(turning: Workpiece, other: Workpiece, start_s: float, end_s: float) -> TurnCrash | None:
-    """Return the first collision between the bodies of two workpieces (mounts with artefacts), `turning` and `other`,
-    between the instants `start_s` and `end_s`, or None.
+    """Return the first collision between the bodies of two workpieces, `turning` and `other`, between the instants
+    `start_s` and `end_s`, or None.
 
     The workpiece `other` may turn too. The bodies are checked at successive instants; between two checks the fastest
     parts move at most by the present gap between the bodies, or by the constant `STEP_MM` if the gap is smaller.

@@ -25,8 +25,7 @@ from twin.collision.swept_volume import SphereCover, cover_turning_bodies
 
 @dataclass(frozen=True, eq=False)
 class WorkpieceSnapshot:
-    """State of a workpiece (mount and artefact) at one instant: the true ball centres, the names of the balls, and all
-    bodies around them.
+    """State of a workpiece at one instant: the true ball centres, the names of the balls, and all bodies around them.
 
     `pose` is the pose of the artefact; if there are several artefacts, it is the pose of the first. `allowed_contacts`
     are the pairs of stylus tip and ball, which may touch.

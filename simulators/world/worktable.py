@@ -1,4 +1,4 @@
-"""All workpieces (mounts and their artefacts) on the machine table.
+"""All workpieces on the machine table.
 
 There is one mount that is moved with its artefact, or one mount at every station, or no mount at all: the artefact is
 then placed by hand.
@@ -17,8 +17,8 @@ from twin.collision.collision import Scene
 
 
 class Worktable:
-    """Workpieces (mounts and their artefacts) on the machine table: one workpiece at each station or, if there is only
-    one mount, a single workpiece.
+    """Workpieces on the machine table: one workpiece at each station or, if there is only one mount, a single
+    workpiece.
     """
 
     def __init__(self, scenario: Scenario, mounts: list[MountPhysics]) -> None:
@@ -57,9 +57,7 @@ class Worktable:
 
     @property
     def workpiece(self) -> Workpiece:
-        """Workpiece (mount and artefact) whose artefact the operator can move; if every station has its own artefact,
-        the first workpiece.
-        """
+        """Workpiece whose artefact the operator can move; the first one if every station has its own artefact."""
         if len(self._pieces) == 1 or self._scenario.artefacts:
             return self._pieces[0]
         return self._pieces[self._at - 1]
@@ -117,7 +115,7 @@ class Worktable:
     def snapshot(self, now_s: float) -> WorkpieceSnapshot:
         """Return all balls and bodies on the machine table at the instant `now_s`.
 
-        The result is cached while no workpiece (mount with its artefact) turns, moves or changes its temperature.
+        The result is cached while no workpiece turns, moves or changes its temperature.
         """
         if len(self._pieces) == 1:
             return self._pieces[0].snapshot(now_s)

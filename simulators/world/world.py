@@ -102,9 +102,7 @@ class World:
 
     @property
     def workpiece(self) -> Workpiece:
-        """Workpiece (mount and artefact) whose artefact the operator can move; if every station has its own artefact,
-        the first workpiece.
-        """
+        """Workpiece whose artefact the operator can move; the first one if every station has its own artefact."""
         return self.table.workpiece
 
     def mount_at(self, station: int) -> MountPhysics:

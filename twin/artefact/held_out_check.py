@@ -3,8 +3,7 @@
 Held-out positions of the artefact are measured but not used in the estimate. At each position, the calibrated artefact
 is fitted rigidly to the measured ball centres, so the comparison does not depend on the pose of the artefact. The
 residual of this fit is a deviation of the machine plus noise. The covariance of the residuals is the sum of the
-covariances of the estimate, the stated model misfit (the errors that the model cannot represent), the calibrated ball
-centres and the touches.
+covariances of the estimate, the stated model misfit, the calibrated ball centres and the touches.
 
 The balls of a straight artefact are some micrometres off a line, so deviations of the machine of the same size turn the
 fitted artefact about this line by any angle. Let u be the pattern of the certified distances from the line, and n × u
@@ -86,9 +85,9 @@ def held_out_test(
 
     `field_covariance` (3n, 3n) is the covariance in mm² of the residual deviation at the n observed points, ordered
     point by point as x, y, z. It must contain only the contributions of the estimated machine parameters and of the
-    model misfit (the errors that the model cannot represent). This function adds the contributions of the touch noise
-    and of the calibration certificate. `shared` (3n, 3N) is the covariance in mm² of the residual deviation with the
-    errors of the N ball centres, in the same order. It is None if the certificate is independent of the estimate.
+    model misfit. This function adds the contributions of the touch noise and of the calibration certificate. `shared`
+    (3n, 3N) is the covariance in mm² of the residual deviation with the errors of the N ball centres, in the same
+    order. It is None if the certificate is independent of the estimate.
     """
     n = observations.size
     total = field_covariance.copy()

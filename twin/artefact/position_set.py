@@ -31,8 +31,8 @@ crossing face diagonals of each of the planes XY, ZX and YZ.
 
 @dataclass(frozen=True)
 class Position:
-    """Orientation of the artefact at one station (place of the mount), and the name of the tool for its measurement.
-    Stations are counted from 1.
+    """Orientation of the artefact at one station, and the name of the tool for its measurement. Stations are counted
+    from 1.
 
     If the tool is None, the tool of the run is used.
     """

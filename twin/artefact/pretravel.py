@@ -47,8 +47,8 @@ class PretravelMap:
         return np.asarray(_terms(directions, self.stylus_axis) @ self.coefficients_mm)
 
     def correct(self, points: Array, directions: Array) -> Array:
-        """Correct the latched points (k, 3) in mm of touches along `directions` (k, 3) for lobing (direction-dependent
-        pretravel). The result is the points that a probe without lobing would latch.
+        """Correct the latched points (k, 3) in mm of touches along `directions` (k, 3) for lobing. The result is the
+        points that a probe without lobing would latch.
         """
         return np.asarray(points + self.offsets_mm(directions)[:, None] * directions)
 

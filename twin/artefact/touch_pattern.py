@@ -108,8 +108,7 @@ def redundancies(directions: Array) -> Array:
 
     The redundancy number is that of Baarda for a sphere fit with free radius. It is 1 minus the touch's diagonal
     element of the hat matrix. If the redundancy number is 0, an error of the touch cannot be detected, because no other
-    touch checks it. An example is the touch at the pole (the point of the ball that faces the stylus) in the five-touch
-    pattern.
+    touch checks it. An example is the touch at the pole in the five-touch pattern.
     """
     jacobian = np.column_stack([-directions, np.ones(len(directions))])
     basis = np.linalg.qr(jacobian)[0]

@@ -1,4 +1,4 @@
-"""Bodies at neighbouring stations that are in the workspace while one station (place of a mount) is measured.
+"""Bodies at neighbouring stations that are in the workspace while one station is measured.
 
 They are the mounts of the other stations and the artefacts on these mounts.
 """

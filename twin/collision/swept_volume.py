@@ -1,7 +1,7 @@
 """Volume swept by an artefact that its mount rotates, and the limit up to which the probe may stay in front of the
 artefact during the rotation.
 
-The two axes of a mount (azimuth and elevation) rotate at the same time. Either axis may be ahead of the other, and the
+Azimuth and elevation of a mount rotate at the same time. Either axis may be ahead of the other, and the
 mount may stop halfway. The swept volume is therefore the union over all pairs of an azimuth and an elevation between
 the angles before and after the rotation.
 
@@ -119,6 +119,9 @@ def turn_sweep(
     `cover` contains spheres that enclose the rotating bodies. `stationary` contains the shapes that do not rotate, in
     the directions of the workpiece frame and relative to the mount location.
     """
+    # The 4 cells are for rounding: sphere centres are rounded to cells, and the dilations by the spheres and by the
+    # probe each round up and add one cell (see `_dilated`). Beyond the grid, `TurnSweep.at` takes the value at its
+    # border.
     half = math.ceil((cover.reach_mm + probe.ram_half_width_mm + clearance_mm) / CELL_MM) + 4
     centres, radii = _turned(cover, start_deg, end_deg)
     front = _front(_in_frame(centres, frame), radii, half)
@@ -142,6 +145,8 @@ def _covered(artefact: Artefact) -> tuple[Array, Array]:
         length = last - first
         count = max(2 * math.ceil(length / SLAB_MM), 8)
         points.append(rod.points(count))
+        # Spheres of radius hypot(r, h) about points 2 h apart on the axis enclose a rod of radius r. `count` makes h at
+        # most a quarter slab and a sixteenth of the length.
         half_spacing = min(0.25 * SLAB_MM, length / 16.0)
         radii.append(np.full(count + 1, math.hypot(rod.radius_mm, half_spacing)))
     return np.concatenate(points), np.concatenate(radii)
@@ -224,6 +229,7 @@ def _least_around(values: Array, reach: int) -> Array:
     while 2 * width <= target:
         least = np.minimum(least[:-width], least[width:])
         width *= 2
+    # Two windows of `width`, shifted against each other by the rest, cover the window of `target` cells.
     rest = target - width
     return np.asarray(np.minimum(least[: len(values)], least[rest : rest + len(values)]))
 

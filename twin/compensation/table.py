@@ -32,12 +32,12 @@ _LEAST_CELLS = 12
 class Anchor:
     """Anchor of a compensation table: six constraints on its corrections.
 
-    The measurement of an artefact (calibrated body with balls) in unknown poses cannot reveal a rigid motion of the
-    whole workspace. The six constraints determine this rigid motion. At the axis position `point_mm` (3,), the three
-    components of the correction are zero (three constraints). On the line through this point along the `primary` axis,
-    the straight line fitted to the corrections has zero slope in both perpendicular directions (two constraints). On
-    the line through the point along the `secondary` axis, the straight line fitted to the corrections has zero slope in
-    the direction perpendicular to both axes (one constraint).
+    The measurement of an artefact in unknown poses cannot reveal a rigid motion of the whole workspace. The six
+    constraints determine this rigid motion. At the axis position `point_mm` (3,), the three components of the
+    correction are zero (three constraints). On the line through this point along the `primary` axis, the straight line
+    fitted to the corrections has zero slope in both perpendicular directions (two constraints). On the line through the
+    point along the `secondary` axis, the straight line fitted to the corrections has zero slope in the direction
+    perpendicular to both axes (one constraint).
     """
 
     point_mm: Array
@@ -62,11 +62,10 @@ class CompensationTable:
     `tool_offset` (3,) in mm (vector from the reference point of the ram to the stylus centre). `anchor` contains the
     six constraints that fix the rigid motion contained in the corrections. `extrapolated` (nx, ny, nz) is True for
     nodes outside the region in which the machine was measured. `gates_not_passed` contains the names of the
-    gates (limits of the estimate and the table) that did not pass: such a table is marked, and is used only by consent.
-    `machine` and `artefact` are the names of the machine that the table corrects and of the artefact with which it was
-    measured; a name is empty if it is not known.
-    Raises DataError if an array has the wrong shape, if node positions are not in ascending order or if a value is not
-    finite.
+    gates that did not pass: such a table is marked, and is used only by consent. `machine` and `artefact` are the names
+    of the machine that the table corrects and of the artefact with which it was measured; a name is empty if it is not
+    known. Raises DataError if an array has the wrong shape, if node positions are not in ascending order or if a value
+    is not finite.
     """
 
     x: Array

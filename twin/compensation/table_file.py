@@ -2,9 +2,8 @@
 
 The CSV file has the columns `x_mm,y_mm,z_mm,dx_um,dy_um,dz_um` and one row for each node of the grid. In the sequence
 of rows, z varies fastest and x slowest. The corrections in the last three columns are ADDED to the commanded position.
-The side file contains the grid, the tool offset, the anchor (point of zero correction, with a primary and a secondary
-axis), the nodes outside the measured region, the names of machine and artefact, and the CRC-32 checksum (IEEE 802.3, as
-in zlib) of the bytes of the CSV file.
+The side file contains the grid, the tool offset, the anchor, the nodes outside the measured region, the names of
+machine and artefact, and the CRC-32 checksum (IEEE 802.3, as in zlib) of the bytes of the CSV file.
 """
 
 from __future__ import annotations
@@ -51,9 +50,9 @@ class SideFile(StrictModel):
 
     `extrapolated_nodes` contains the indices of the nodes outside the region in which the machine was measured. Nodes
     are counted from 0 in the order of the rows of the table's CSV file. `gates_not_passed` contains the names of the
-    gates (limits of the estimate and the table) that the table did not pass; the key is absent if all were passed.
-    `machine` and `artefact` are the names of the machine that the table corrects and of the artefact with which it was
-    measured; a key is absent if the name is not known.
+    gates that the table did not pass; the key is absent if all were passed. `machine` and `artefact` are the names of
+    the machine that the table corrects and of the artefact with which it was measured; a key is absent if the name is
+    not known.
     """
 
     format: Literal["volcal compensation table 1"]

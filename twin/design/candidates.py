@@ -29,8 +29,7 @@ _MIN_INFORMATION = 1e-13  # of the largest information of a position: below it t
 
 @dataclass(frozen=True, eq=False)
 class CandidatePositions:
-    """N candidate positions of the artefact, sorted by station (place of the artefact's mount), azimuth, elevation and
-    tool.
+    """N candidate positions of the artefact, sorted by station, azimuth, elevation and tool.
 
     `balls` (N,) is the number of measurable balls of each candidate. The vector z contains the P unknowns that all
     positions share. `factors` (N, r, P) contains one matrix W (r, P) for each candidate. The product WᵀW is the
@@ -101,8 +100,7 @@ def build_candidates(
 
     `grid` (n, 3) in mm and `tool_offset` (3,) in mm define the error field to be minimised. The entries `formulation`
     and `estimate_scales` of `options` have no effect: each ball centre always gives three equations, and the noise, the
-    prior and the misfit (errors that the model cannot represent) always have their stated standard deviations. Raise
-    DataError if no position can be measured.
+    prior and the misfit always have their stated standard deviations. Raise DataError if no position can be measured.
     """
     planned = procedure.plan(sorted(set(positions), key=_order))
     problem = build_problem(family, planned.observations, procedure.artefact, options)

@@ -27,9 +27,8 @@ class Criterion:
     Let the error of z have mean zero and the covariance C. The expected mean square, over a grid, of the error field
     that remains after compensation is then trace(`raw` · C). The form `aligned` gives the expected mean square after
     the best-fitting rigid motion has been removed from the field. The unknowns of the certificate and of the thermal
-    strain do not contribute to the field. `unresolved_mm2` is the mean square of the part of the misfit (errors that
-    the error model cannot represent) whose wavelength is too short for the modes that represent the misfit; this part
-    is the same for every position set.
+    strain do not contribute to the field. `unresolved_mm2` is the mean square of the part of the misfit whose
+    wavelength is too short for the modes that represent the misfit; this part is the same for every position set.
     """
 
     raw: Array

@@ -3,12 +3,12 @@ part of the machine's error field that remains hidden from this set-up.
 
 The vector z contains the p parameters of the error model in units of their prior standard deviations. A priori, z has
 mean zero and the unit matrix as covariance. Let C (p, p) be the posterior covariance of z, including the uncertainty
-due to the artefact certificate, the thermal strain and the misfit (errors that the model cannot represent). For a
-machine with the parameters z, the mean of the estimate over all noise is (1 - C) z. The remaining part C z is missing
-from the estimate, either because the measurements do not depend on this part or because noise hides it. The part of z
-in the null space of the measurements remains missing, no matter how often the measurements are repeated. Let the
-columns of a matrix N be an orthonormal basis of this null space. The missing part C z causes the unseen field, and the
-part in the null space causes the blind field. Over machines drawn from the prior, the two parts have these covariances:
+due to the artefact certificate, the thermal strain and the misfit. For a machine with the parameters z, the mean of the
+estimate over all noise is (1 - C) z. The remaining part C z is missing from the estimate, either because the
+measurements do not depend on this part or because noise hides it. The part of z in the null space of the measurements
+remains missing, no matter how often the measurements are repeated. Let the columns of a matrix N be an orthonormal
+basis of this null space. The missing part C z causes the unseen field, and the part in the null space causes the blind
+field. Over machines drawn from the prior, the two parts have these covariances:
 
     unseen field   covariance C C,     tends to the blind field as the noise tends to zero
     blind field    covariance N Nᵀ
@@ -85,8 +85,7 @@ class Identifiability:
 
     @property
     def null_summary(self) -> tuple[str, ...]:
-        """Description of the null directions (parameter combinations that the measurements do not determine), with one
-        line for each kind of null direction."""
+        """Description of the null directions, with one line for each kind of null direction."""
         return summary(self.null_directions)
 
     @property

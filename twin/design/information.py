@@ -1,5 +1,5 @@
 """Information about the unknowns of an identification after some positions of the artefact have been measured, and the
-gain (decrease of the expected error) of each further position.
+gain of each further position.
 
 Let C be the covariance of the unknowns, Q the quadratic form of the design criterion (trace(Q C) is the expected mean
 square error after compensation), and W the information factor of a position (WᵀW is the information that the position
@@ -26,7 +26,7 @@ from twin.design.candidates import Indices
 @dataclass(frozen=True, eq=False)
 class InformationState:
     """Covariance of the P unknowns of an identification after a selection of positions has been measured, and the
-    quantities from which the gain (decrease of the expected error) of each candidate position follows.
+    quantities from which the gain of each candidate position follows.
 
     `factors` (n, r, P) contains the information factor W (r, P) of each of the n candidates considered; WᵀW is the
     information that the candidate gives. `form` (P, P) is the quadratic form Q of the design criterion in mm², and

@@ -73,17 +73,17 @@ class SetUp:
 
     def with_tool(self, name: str, tool_offset: Array) -> SetUp:
         """Return a set-up that has a further tool called `name` and measures the positions of its first tool again with
-        this further tool. The measuring layout (artefact locations and probe dimensions) of the further tool is planned
-        for its offset `tool_offset` (3,) in mm."""
+        this further tool. The measuring layout of the further tool is planned for its offset `tool_offset` (3,) in
+        mm."""
         layouts = {**self.procedure.layouts, name: layout_for(self.procedure.layout(), tool_offset, self.tool_axis)}
         procedure = replace(self.procedure, layouts=layouts)
         return replace(self, procedure=procedure).with_positions(replace(p, tool=name) for p in self.first_positions())
 
 
 def layout_for(layout: MeasuringLayout, tool_offset: Array, tool_axis: int) -> MeasuringLayout:
-    """Return the measuring layout (artefact locations and probe dimensions) for another tool than that of `layout`,
-    with the offset `tool_offset` (3,) in mm. The length of the probe changes by the difference of the two tool offsets
-    along the machine axis with the index `tool_axis`.
+    """Return the measuring layout for another tool than that of `layout`, with the offset `tool_offset` (3,) in mm. The
+    length of the probe changes by the difference of the two tool offsets along the machine axis with the index
+    `tool_axis`.
 
     The collision check assumes a straight probe. The length of this probe is at least the stem length plus the body
     diameter of the probe in `layout`.

@@ -1,5 +1,5 @@
 """Cost of measuring in machine minutes: the time for each position of the artefact, and for moving its mount between
-stations (places of the mount)."""
+stations."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ class PlannedMeasurement:
 
 @dataclass(frozen=True, eq=False)
 class Procedure:
-    """Tools of a measurement, and the measuring layout (artefact locations and probe dimensions) for each tool.
+    """Tools of a measurement, and the measuring layout for each tool.
 
     `layouts` contains the layout of each tool by the name of the tool. The first tool measures all positions that name
     no tool. `covariance_mm2` (3, 3) is the covariance of one measured ball centre.
@@ -63,8 +63,8 @@ class Procedure:
         return np.array([layout.tool_offset_mm for layout in self.layouts.values()])
 
     def layout(self, tool: str | None = None) -> MeasuringLayout:
-        """Return the measuring layout (artefact locations and probe dimensions) of `tool`, or the layout of the first
-        tool if `tool` is None. Raise DataError if the tool is unknown."""
+        """Return the measuring layout of `tool`, or the layout of the first tool if `tool` is None. Raise DataError if
+        the tool is unknown."""
         if tool is None:
             return next(iter(self.layouts.values()))
         if tool not in self.layouts:
@@ -72,8 +72,8 @@ class Procedure:
         return self.layouts[tool]
 
     def with_artefact(self, artefact: Artefact) -> Procedure:
-        """Return the procedure with another artefact. The new artefact is used at all stations (places of its mount),
-        also at those that had their own artefact."""
+        """Return the procedure with another artefact. The new artefact is used at all stations, also at those that had
+        their own artefact."""
         layouts = {name: replace(layout, artefact=artefact, own_artefacts={}) for name, layout in self.layouts.items()}
         return replace(self, layouts=layouts)
 

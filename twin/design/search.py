@@ -94,10 +94,10 @@ class ExchangeSearch:
         """Yield selections of positions of growing size. Each selection has one more position than the previous
         selection.
 
-        The added position is the feasible position with the largest gain (decrease of the expected mean square error)
-        or, if `per_minute` is True, with the largest gain per minute. A position is feasible if it can be measured and
-        `room` allows it. The function `room` takes the chosen indices and returns a mask of the candidates that may
-        still be added. The search stops if no feasible position has a gain.
+        The added position is the feasible position with the largest gain or, if `per_minute` is True, with the largest
+        gain per minute. A position is feasible if it can be measured and `room` allows it. The function `room` takes
+        the chosen indices and returns a mask of the candidates that may still be added. The search stops if no feasible
+        position has a gain.
         """
         while True:
             worth = selection.information.gains()

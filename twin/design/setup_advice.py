@@ -24,8 +24,8 @@ def describe_trial(trial: SetUpTrial) -> str:
 
 
 def describe_gain(gain: TrialGain) -> str:
-    """Return the benefit of a trial (set-up with additional measurements) in words such as `15 more parameters, EBY and
-    EBZ no longer hidden; unseen 1.97 to 1.50 µm; 24 positions more`.
+    """Return the benefit of a trial in words such as `15 more parameters, EBY and EBZ no longer hidden; unseen 1.97 to
+    1.50 µm; 24 positions more`.
 
     The values in µm before and after the trial are the rms, over the workspace and all evaluated tools, of the part of
     the error field that is missing from the estimate (unseen).

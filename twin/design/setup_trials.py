@@ -60,8 +60,7 @@ class SetUpTrial:
 
 @dataclass(frozen=True, eq=False)
 class TrialGain:
-    """Comparison of the identifiability of a machine's parameters before and after a trial (a set-up with additional
-    measurements).
+    """Comparison of the identifiability of a machine's parameters before and after a trial.
 
     `before` is the identifiability by the original set-up, and `after` is the identifiability by the set-up of the
     trial. `positions` is the number of added positions that can be measured.
@@ -80,15 +79,14 @@ class TrialGain:
 
     @property
     def revealed(self) -> tuple[str, ...]:
-        """Names of the errors (error motions, squareness, cross-effect) that take part in a null direction (a parameter
-        combination that the measurements do not determine) before the trial, but in no null direction after it."""
+        """Names of the errors (error motions, squareness, cross-effect) that take part in a null direction before the
+        trial, but in no null direction after it."""
         hidden = _hidden_errors(self.after)
         return tuple(name for name in _hidden_errors(self.before) if name not in hidden)
 
     @property
     def unseen_removed_mm(self) -> float:
-        """Decrease, by the trial, of the rms in mm of the unseen field (the part of the error field that is missing
-        from the estimate) over the workspace and the evaluated tools."""
+        """Decrease, by the trial, of the rms in mm of the unseen field over the workspace and the evaluated tools."""
         return self.before.unseen_mm - self.after.unseen_mm
 
 
@@ -139,9 +137,8 @@ def possible_trials(set_up: SetUp) -> Iterator[SetUpTrial]:
 
 
 def trial_gains(set_up: SetUp, before: Identifiability, views: Sequence[EvaluatedTool]) -> tuple[TrialGain, ...]:
-    """Return the gains of all trial changes of `set_up`, sorted by the decrease of the unseen field (the part of the
-    error field that is missing from the estimate), the largest decrease first. Trials that add no measurable position
-    are omitted.
+    """Return the gains of all trial changes of `set_up`, sorted by the decrease of the unseen field, the largest
+    decrease first. Trials that add no measurable position are omitted.
 
     `before` is the identifiability by the original set-up, evaluated for the tools `views`.
     """

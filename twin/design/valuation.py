@@ -25,8 +25,8 @@ class Valuation:
     """Expected volumetric error of machines of the prior population (the family), before and after compensation with
     the measurements of a position set.
 
-    `before` is the expected error without compensation, including the misfit (errors that the model cannot represent).
-    `after` is the expected volumetric compensated error (VCE).
+    `before` is the expected error without compensation, including the misfit. `after` is the expected volumetric
+    compensated error (VCE).
     """
 
     before: VolumetricRms

@@ -1,8 +1,7 @@
 """Section of an estimate file with the data needed to use the estimate as a prior: the joint mean and covariance of all
 unknowns, and the meaning of each unknown.
 
-The modes of the misfit (errors that the model cannot represent) are stored explicitly, since another computer may
-compute the same modes with opposite signs.
+The modes of the misfit are stored explicitly, since another computer may compute the same modes with opposite signs.
 """
 
 from __future__ import annotations

@@ -1,12 +1,11 @@
 """Uncertainty of the estimated scales of an identification, and its effect on the estimate.
 
-A scale is a factor on the standard deviation of the touch noise, of the prior or of a kind of misfit (errors that the
-model cannot represent). The measurements determine some scales poorly, above all the scale of a kind of misfit that
-they hardly observe. The stated result must therefore not depend on the likeliest scales alone. The logarithms of the
-scales are assumed to be normally distributed about their likeliest values (Laplace approximation). The precision of
-this normal distribution is the sum of the Fisher information and the precision of the priors of the scales. The k free
-scales are represented by k + 1 points of equal weight that have exactly this mean and covariance (spherical simplex;
-Julier, Proc. ACC 2003).
+A scale is a factor on the standard deviation of the touch noise, of the prior or of a kind of misfit. The measurements
+determine some scales poorly, above all the scale of a kind of misfit that they hardly observe. The stated result must
+therefore not depend on the likeliest scales alone. The logarithms of the scales are assumed to be normally distributed
+about their likeliest values (Laplace approximation). The precision of this normal distribution is the sum of the Fisher
+information and the precision of the priors of the scales. The k free scales are represented by k + 1 points of equal
+weight that have exactly this mean and covariance (spherical simplex; Julier, Proc. ACC 2003).
 
 The measurements have the covariance V = σ²I + A D⁻¹Aᵀ, where σ is the touch noise, I the unit matrix, A the design
 matrix and D the prior precision. The Fisher information of two log variances is half the trace of V⁻¹ ∂V V⁻¹ ∂V'. Here
@@ -30,9 +29,8 @@ _STATIONARY = 6  # number of the scale of the stationary part in `Scales.values`
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """Plausible scales (factors on the standard deviations of noise, prior and misfit) near the likeliest scales, with
-    the posterior mean `z` (P,) and the posterior `covariance` (P, P) of the P unknowns of an identification at the
-    plausible scales."""
+    """Plausible scales near the likeliest scales, with the posterior mean `z` (P,) and the posterior `covariance` (P,
+    P) of the P unknowns of an identification at the plausible scales."""
 
     scales: Scales
     z: Array
@@ -42,8 +40,8 @@ class Alternative:
 def alternatives(
     matrix: Array, precision: PriorPrecision, posterior: Posterior, z: Array, scales: Scales, rows: int
 ) -> tuple[Alternative, ...]:
-    """Return alternatives of equal weight that represent the uncertainty of the scales (factors on the standard
-    deviations of noise, prior and misfit). Each alternative contains plausible scales with the corresponding estimate.
+    """Return alternatives of equal weight that represent the uncertainty of the scales. Each alternative contains
+    plausible scales with the corresponding estimate.
 
     `scales` are the likeliest scales. `posterior` is the posterior of the P unknowns at these scales, and `z` (P,) is
     its mean. `matrix` (P, P) is the matrix of the normal equations, which are formed from `rows` observation equations.

@@ -52,8 +52,7 @@ class DriftPrior:
 
 @dataclass(frozen=True, eq=False)
 class MachineDrift:
-    """Drift unknowns of a machine: amplitudes of low-order error fields that are proportional to thermal regressors
-    (temperature changes in K).
+    """Drift unknowns of a machine: amplitudes of low-order error fields that are proportional to thermal regressors.
 
     `parameter_indices` contains the indices of the f parameters that drift. `deviations` (f,) contains the prior
     standard deviations of their drift in mm/K or rad/K. `regressor_count` is the number of thermal regressors. The

@@ -53,7 +53,7 @@ class Estimate:
     drift. `residuals_mm` (n, 3) contains the residuals of all n rows (measured ball centres), including rejected rows,
     in the order of the observations. `chi2_normalised` is the sum of squared residuals in units of the stated noise,
     divided by the degrees of freedom. `rejected` contains the position, the ball and the tool of each rejected row.
-    `scales` are the estimated scales (factors on the standard deviations) of noise, prior and misfit.
+    `scales` are the estimated scales of noise, prior and misfit.
 
     `misfit` contains the errors that the model cannot represent; it is None if they were not estimated. `information`
     (p, p) is the information matrix of the measurements alone, for parameters in units of `prior_scale`. `z` (P,) and
@@ -116,9 +116,8 @@ class Estimate:
 
     @property
     def scales_at_bounds(self) -> tuple[str, ...]:
-        """Descriptions of the scales (estimated factors on the standard deviations of noise, prior and misfit) that
-        reached a bound of their allowed range. If a scale is at a bound, the uncertainties that depend on it are only a
-        guess."""
+        """Descriptions of the scales that reached a bound of their allowed range. If a scale is at a bound, the
+        uncertainties that depend on it are only a guess."""
         return scales_at_bounds(self.scales)
 
     @property
@@ -145,8 +144,7 @@ class Estimate:
 
     @property
     def null_summary(self) -> tuple[str, ...]:
-        """Description of the null directions (parameter combinations that the measurements do not determine), with one
-        line for each kind of null direction."""
+        """Description of the null directions, with one line for each kind of null direction."""
         return summary(self.null_directions)
 
     @cached_property

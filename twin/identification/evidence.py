@@ -1,5 +1,5 @@
-"""Estimation of the scales (factors on the standard deviations) of touch noise, prior and each kind of misfit (errors
-that the model cannot represent) by maximum marginal likelihood (empirical Bayes).
+"""Estimation of the scales of touch noise, prior and each kind of misfit by maximum marginal likelihood (empirical
+Bayes).
 
 The equations of the measurement are A z = y with the unknowns z, the design matrix A and the right side y. The poses of
 the artefact have been eliminated by projection. After integration over z, twice the negative log marginal likelihood is
@@ -78,8 +78,7 @@ _ACCURACY = 1e-3  # gradient per equation: log scales are accurate to about 0.01
 
 
 def most_likely_scales(normal: NormalEquations, precision: PriorPrecision, start: Scales) -> Scales:
-    """Return the scales (factors on the standard deviations of noise, prior and misfit) that maximise the product of
-    the marginal likelihood and the priors of the scales."""
+    """Return the scales that maximise the product of the marginal likelihood and the priors of the scales."""
     return largest_log_evidence(normal, precision, start)[1]
 
 
@@ -103,9 +102,8 @@ def largest_log_evidence(normal: NormalEquations, precision: PriorPrecision, sta
 
 
 def log_evidence(normal: NormalEquations, precision: PriorPrecision, scales: Scales) -> float:
-    """Return the logarithm of the product of the marginal likelihood and the priors of `scales` (factors on the
-    standard deviations of noise, prior and misfit). Terms that depend only on the measured rows and their covariances
-    are omitted."""
+    """Return the logarithm of the product of the marginal likelihood and the priors of `scales`. Terms that depend only
+    on the measured rows and their covariances are omitted."""
     normal, precision = in_principal_axes(normal, precision)
     logs = np.log(scales.values)[free_scales(precision)]
     return _log_evidence(_cost(normal, precision, scales)(logs)[0], normal)
@@ -117,8 +115,7 @@ def _log_evidence(cost: float, normal: NormalEquations) -> float:
 
 
 def scales_at_bounds(scales: Scales) -> tuple[str, ...]:
-    """Return a description of each scale (factor on the standard deviation of the noise, the prior or a kind of misfit)
-    that reached its lower or upper bound."""
+    """Return a description of each scale that reached its lower or upper bound."""
     found = []
     for name, value, prior in zip(_NAMES, scales.values, SCALE_PRIORS, strict=True):
         for bound in (prior.low, prior.high):
@@ -149,6 +146,8 @@ def _cost(normal: NormalEquations, precision: PriorPrecision, others: Scales) ->
     def cost(logs: Logs) -> tuple[float, Array]:
         scales = _scales(logs, free, others)
         value, gradient = negative_log_likelihood(normal, precision, scales)
+        # A fixed scale stays in the joint prior, because the others are distributed about it. The division by the
+        # number of equations makes the tolerance of the search independent of the size of the set.
         every = np.log(scales.values)
         pull = prior @ every
         return (value + float(every @ pull)) / normal.rows, (gradient + 2.0 * pull)[free] / normal.rows
@@ -183,9 +182,12 @@ def negative_log_likelihood(normal: NormalEquations, precision: PriorPrecision, 
     diagonal = precision.diagonal(scales)
     weighted_z, trace = diagonal * z, float(variances @ diagonal)
     # rows ln σ² + |y|²/σ² - rᵀH⁻¹r (with r the weighted right side) + ln det H - ln det D
+    # Dropped: rows ln 2π and, for a joint prior with mean m and precision K, mᵀ K m; no scale changes either of them.
     value = normal.rows * math.log(variance) + normal.square / variance - float(right @ z)
     value += posterior.log_determinant - _log_determinant(precision, scales)
     gradient = np.zeros(len(SCALE_PRIORS))
+    # The derivative of ln det H gives tr(H⁻¹ N/σ²) = P - tr(H⁻¹ D), the effective number of parameters (MacKay's γ).
+    # The quadratic terms are stationary in z, so only the explicit σ in |y - A z|²/σ² counts.
     gradient[0] = 2.0 * (normal.rows - (len(z) - trace) - normal.misfit_square(z) / variance)
     # derivatives with respect to the prior variances: D - D C D - D z zᵀ D, of which only the diagonal counts
     gradient[1:] = precision.variance_changes(scales) @ (diagonal - diagonal**2 * variances - weighted_z**2)

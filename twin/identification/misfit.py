@@ -6,11 +6,11 @@ of Legendre polynomials of low total degree. The rails of each axis undulate bet
 represented by waves: Legendre polynomials of higher orders than those of the model, alone or multiplied by the position
 of another axis.
 
-The mixed terms and the waves along each of the three axes are the four kinds of misfit. Each kind has its own scale
-(estimated factor on its prior standard deviation), because a machine that bends strongly need not have wavy rails, and
-one bad rail does not make the other rails bad. The prior standard deviations of the mixed terms fall with increasing
-order, as those of the model parameters do. The waves are the high orders of errors that are stationary along the axis
-(`stationary_kernel`): their coefficients are correlated, and the waves are no larger at the ends than in the middle.
+The mixed terms and the waves along each of the three axes are the four kinds of misfit. Each kind has its own scale,
+because a machine that bends strongly need not have wavy rails, and one bad rail does not make the other rails bad. The
+prior standard deviations of the mixed terms fall with increasing order, as those of the model parameters do. The waves
+are the high orders of errors that are stationary along the axis (`stationary_kernel`): their coefficients are
+correlated, and the waves are no larger at the ends than in the middle.
 
 The part of the misfit that the model or a rigid motion can represent is removed by least squares over the workspace. An
 error that the model can explain is therefore not also explained by the misfit. The rest is condensed to its leading
@@ -52,8 +52,7 @@ Degrees = tuple[int, int, int]
 
 @dataclass(frozen=True, eq=False)
 class MisfitModes:
-    """Modes of the misfit (error fields that the error model cannot represent). A priori, the coefficients of the modes
-    are independent, with mean zero and variance 1.
+    """Modes of the misfit. A priori, the coefficients of the modes are independent, with mean zero and variance 1.
 
     Each of the q modes is a combination of c candidate fields, which are products of Legendre polynomials. `degrees`
     contains the Legendre degrees of each candidate in x, y and z. `mixing` (3, c, q) contains, for each direction, the

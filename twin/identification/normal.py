@@ -40,8 +40,7 @@ class NormalEquations:
 
 @dataclass(frozen=True)
 class Scales:
-    """Scales: factors on the standard deviations of the touch noise, of the parameter prior and of each kind of misfit
-    (errors that the model cannot represent).
+    """Scales: factors on the standard deviations of the touch noise, of the parameter prior and of each kind of misfit.
 
     The Legendre series of the error motions have two scales of their own: `stationary` for their stationary part, and
     `independent` for their independent coefficients. The scale `prior` then applies to all other parameters.
@@ -58,8 +57,8 @@ class Scales:
 
     @property
     def values(self) -> tuple[float, ...]:
-        """Scales (factors on the standard deviations) of the noise, the parameter prior, each kind of misfit, the
-        stationary part of the error motions and their independent coefficients, in this order."""
+        """Scales of the noise, the parameter prior, each kind of misfit, the stationary part of the error motions and
+        their independent coefficients, in this order."""
         return self.noise, self.prior, *self.kinds, self.stationary, self.independent
 
     @property
@@ -82,8 +81,8 @@ class Scales:
 
 @dataclass(frozen=True, eq=False)
 class JointPrior:
-    """Joint Gaussian prior of some of the P unknowns of an identification. The estimated scales (factors on standard
-    deviations) do not apply to this prior.
+    """Joint Gaussian prior of some of the P unknowns of an identification. The estimated scales do not apply to this
+    prior.
 
     The mask `members` (P,) marks the unknowns that have the joint prior. `information_vector` (P,) is the product of
     the precision and the prior mean. `precision` (P, P) and `information_vector` are zero for all other unknowns.
@@ -127,8 +126,8 @@ class PriorPrecision:
     principal: PrincipalSeries | None = None
 
     def has_free_scale(self, block: slice) -> bool:
-        """Return True if the scale (factor on the prior standard deviation) of the unknowns in `block` can be
-        estimated. The block must not be empty, and no unknown in it may have a joint prior."""
+        """Return True if the scale of the unknowns in `block` can be estimated. The block must not be empty, and no
+        unknown in it may have a joint prior."""
         return block.stop > block.start and (self.known is None or not self.known.members[block].any())
 
     @property
@@ -137,15 +136,13 @@ class PriorPrecision:
         return np.zeros(self.blocks.size) if self.known is None else self.known.information_vector
 
     def matrix(self, scales: Scales) -> Array:
-        """Return the prior precision (P, P) of the P unknowns for the given scales (factors on the prior standard
-        deviations)."""
+        """Return the prior precision (P, P) of the P unknowns for the given scales."""
         full = np.zeros((self.blocks.size, self.blocks.size))
         self.add_to(full, scales)
         return full
 
     def add_to(self, matrix: Array, scales: Scales) -> None:
-        """Add the prior precision for the given scales (factors on the prior standard deviations) to a matrix (P, P) in
-        place."""
+        """Add the prior precision for the given scales to a matrix (P, P) in place."""
         diagonal = self.diagonal(scales)
         if self.known is not None:
             matrix += self.known.precision
@@ -159,8 +156,8 @@ class PriorPrecision:
         np.einsum("ii->i", matrix)[:] += diagonal
 
     def diagonal(self, scales: Scales) -> Array:
-        """Return the diagonal (P,) of the prior precision for the given scales (factors on the prior standard
-        deviations), without the stationary part unless the unknowns are in principal axes."""
+        """Return the diagonal (P,) of the prior precision for the given scales, without the stationary part unless the
+        unknowns are in principal axes."""
         diagonal = np.ones(self.blocks.size)
         diagonal[self.blocks.parameters] = scales.prior**-2
         if self.principal is not None:
@@ -187,12 +184,18 @@ class PriorPrecision:
 
         The row of the stationary part is zero unless the unknowns are in principal axes.
         """
+        # A variance s² changes by 2 s² with ln s. The rows are those of `Scales.values` without the noise: prior, four
+        # kinds of misfit, stationary part, independent coefficients. A scale that applies to no unknown keeps a row of
+        # zeros, so that the caller can leave it out by its mask of free scales.
         changes = np.zeros((7, self.blocks.size))
         changes[0, self.blocks.parameters] = 2.0 * scales.prior**2
+        # The variance of a coefficient of an error motion is independent² + stationary² q (see `diagonal`): the scale
+        # of the prior does not occur in it.
         changes[0, self._in_series] = 0.0
         changes[6, self._in_series] = 2.0 * scales.independent**2
         for row, (block, scale) in enumerate(zip(self.blocks.kinds, scales.kinds, strict=False), start=1):
             changes[row, block] = 2.0 * scale**2
+        # Only in principal axes is the stationary part a variance of its own for each unknown.
         if self.principal is not None:
             changes[5] = 2.0 * scales.stationary**2 * self.principal.stationary
         return changes
@@ -234,6 +237,7 @@ class Posterior:
     @cached_property
     def covariance(self) -> Array:
         """Posterior covariance (P, P) of the P unknowns."""
+        # dpotri fills the lower triangle only; the upper one is zero, so the sum counts just the diagonal twice.
         lower, _ = dpotri(self.factor, lower=1)
         covariance: Array = lower + lower.T
         np.einsum("ii->i", covariance)[:] *= 0.5
@@ -242,6 +246,7 @@ class Posterior:
     @cached_property
     def variances(self) -> Array:
         """Diagonal (P,) of the posterior covariance."""
+        # (L Lᵀ)⁻¹ = L⁻ᵀ L⁻¹: its diagonal is the sum of squares in each column of L⁻¹, without the full inverse.
         inverse, _ = dtrtri(self.factor, lower=1)
         return np.asarray(np.einsum("ij,ij->j", inverse, inverse))
 

@@ -72,8 +72,8 @@ def field_observability(model: ErrorModel, scale: Array, tool_offsets: Array, al
 def observability(
     model: ErrorModel, information: Array, scale: Array, tool_offsets: Array, observer: str = "by this set"
 ) -> Observability:
-    """Return the rank, the null directions (undetermined parameter combinations) in words, and the conditioning of an
-    information matrix (p, p). The matrix refers to parameters in units of `scale` (p,).
+    """Return the rank, the null directions in words, and the conditioning of an information matrix (p, p). The matrix
+    refers to parameters in units of `scale` (p,).
 
     `observer` completes the phrase "not seen …" in the descriptions of the null directions, for example "by this set".
     """
@@ -115,8 +115,8 @@ def field_form(model: ErrorModel, scale: Array, tool_offsets: Array, aligned: bo
 
 
 def summary(directions: Sequence[NullDirection]) -> tuple[str, ...]:
-    """Return a description of null directions (parameter combinations that the measurements do not determine), with one
-    line for each kind, such as `EBY[1..5]: not seen with one straight probe along Y`."""
+    """Return a description of null directions, with one line for each kind, such as `EBY[1..5]: not seen with one
+    straight probe along Y`."""
     groups: dict[tuple[str, ...], list[NullDirection]] = {}
     for direction in directions:
         key = (*(name.split("[")[0] for name in direction.loadings), direction.circumstance)

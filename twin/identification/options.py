@@ -23,13 +23,13 @@ class Options:
     `formulation` is "centres" for ball centres with free poses, or "distances" for pairwise distances (the published
     method on which this project is based).
 
-    `use_prior` is True if the family (prior population of machines) is used as a Gaussian prior. If it is False,
-    parameter combinations that the data do not determine are held at zero.
+    `use_prior` is True if the family is used as a Gaussian prior. If it is False, parameter combinations that the data
+    do not determine are held at zero.
 
     `prior_standard_deviation` (p,) in mm or rad replaces the standard deviations of the family.
 
-    `carried_over` is the posterior of machine, artefact and misfit (errors that the model cannot represent) from an
-    earlier estimate. It replaces the family and the certificate.
+    `carried_over` is the posterior of machine, artefact and misfit from an earlier estimate. It replaces the family and
+    the certificate.
 
     `weights` is "full" if the observations are weighted by their covariances. It is "unit" if all coordinates or all
     distances have the same weight; the nuisance unknowns (all unknowns except the parameters and the poses) are then
@@ -40,8 +40,8 @@ class Options:
     distances with the smallest norm otherwise. If it is None, only directions that the distances do not determine are
     zero. It is meant for studies of published methods, not for the calibration of a machine.
 
-    `estimate_scales` is True if the scales (factors on the standard deviations) of touch noise, prior and misfit are
-    estimated by maximum marginal likelihood. If it is False, all scales are 1.
+    `estimate_scales` is True if the scales of touch noise, prior and misfit are estimated by maximum marginal
+    likelihood. If it is False, all scales are 1.
 
     `outliers` is "reject" if outliers are found by their studentised residuals and removed before the final fit. It is
     "none" if all rows are accepted.
@@ -56,10 +56,9 @@ class Options:
     the thermometer is exact. An uncertainty that differs from that of the carried-over estimate means another
     thermometer, whose error is unknown again.
 
-    `drift` is the prior of a drift of the machine in proportion to the thermal regressors (temperature changes) of the
-    observations. It is None if drift is not estimated. `state_regressors` (w,) contains the thermal regressors in K of
-    the state that the estimate describes. If it is None, all regressors of this state are zero, as at the start of the
-    measurement.
+    `drift` is the prior of a drift of the machine in proportion to the thermal regressors of the observations. It is
+    None if drift is not estimated. `state_regressors` (w,) contains the thermal regressors in K of the state that the
+    estimate describes. If it is None, all regressors of this state are zero, as at the start of the measurement.
     """
 
     formulation: Formulation = "centres"
@@ -78,8 +77,8 @@ class Options:
 
     @property
     def start_scales(self) -> Scales:
-        """Scales (factors on standard deviations) with which an estimation of the scales starts. They are those of a
-        carried-over estimate, but 1 for the noise; without one, all are 1."""
+        """Scales with which an estimation of the scales starts. They are those of a carried-over estimate, but 1 for
+        the noise; without one, all are 1."""
         return Scales() if self.carried_over is None else replace(self.carried_over.scales, noise=1.0)
 
     def __post_init__(self) -> None:

@@ -1,11 +1,11 @@
 """Choice of the Legendre order of the error model by evidence.
 
-The evidence of an order is its marginal likelihood multiplied by the priors of the scales (factors on the standard
-deviations). The poses of the artefact are eliminated by projection, and the parameters, certificate errors, thermal
-strain and misfit (errors that the model cannot represent) are integrated out. The scales have their likeliest values.
-All orders are compared on the same ball centres, so factors common to all orders are omitted. The determinants in the
-evidence balance the size of a model against the part of the data that the model explains. Outliers are rejected once,
-with the highest order, before any comparison. All orders therefore use the same ball centres.
+The evidence of an order is its marginal likelihood multiplied by the priors of the scales. The poses of the artefact
+are eliminated by projection, and the parameters, certificate errors, thermal strain and misfit are integrated out. The
+scales have their likeliest values. All orders are compared on the same ball centres, so factors common to all orders
+are omitted. The determinants in the evidence balance the size of a model against the part of the data that the model
+explains. Outliers are rejected once, with the highest order, before any comparison. All orders therefore use the same
+ball centres.
 
 The misfit can explain errors of high order almost as well as a model of high order can, but a compensation table
 contains only the parameters and not the misfit. Therefore the highest order is chosen among all orders without very
@@ -42,7 +42,7 @@ def identify_by_evidence(
     candidates: Sequence[int] = ORDERS,
 ) -> Estimate:
     """Estimate the parameters with the Legendre order that the measurements favour. The function `family_of` returns
-    the family (prior population of machines) for a given order.
+    the family for a given order.
 
     Orders are compared on ball centres that are weighted by their covariances, whatever the formulation of the
     estimate. `order_evidence` of the result contains the evidence (marginal likelihood) of all candidate orders. Raise

@@ -207,8 +207,8 @@ def rigid_poses(
 
 @dataclass(frozen=True, eq=False)
 class PoseProjector:
-    """Projector that removes the effect of pose increments (small changes of the artefact's poses) from the whitened
-    equations of K positions with up to `width` balls each.
+    """Projector that removes the effect of pose increments from the whitened equations of K positions with up to
+    `width` balls each.
 
     `q` (K, 3·width, m) contains an orthonormal basis Q of the effect of m increments for each position; m is 6 unless
     stated otherwise. `back` (K, m, m) converts the projections Qᵀr of residuals r into increments. `seen` is the number
@@ -240,7 +240,7 @@ class PoseProjector:
 
     def parts(self, white: Array) -> Array:
         """Return the projections QᵀA (K, 6, m) of whitened equations A (K, 3·width, m) of K positions onto the
-        orthonormal basis Q of the effect of pose increments (small changes of the poses)."""
+        orthonormal basis Q of the effect of pose increments."""
         return self.q.transpose(0, 2, 1) @ white
 
     def increments(self, white: Array) -> Array:
@@ -249,9 +249,8 @@ class PoseProjector:
         return (self.back @ self.parts(white[:, :, None]))[:, :, 0]
 
     def remove(self, white: Array) -> Array:
-        """Return the whitened equations (I - Q Qᵀ) A without the effect of pose increments (small changes of the K
-        poses). Here A (K, 3·width, m) contains the whitened equations with this effect, Q is its orthonormal basis, and
-        I is the unit matrix."""
+        """Return the whitened equations (I - Q Qᵀ) A without the effect of pose increments. Here A (K, 3·width, m)
+        contains the whitened equations with this effect, Q is its orthonormal basis, and I is the unit matrix."""
         return white - self.q @ self.parts(white)
 
 

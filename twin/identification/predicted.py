@@ -39,8 +39,7 @@ def predicted_vce(estimate: FieldKnowledge, points: ArrayLike, tool_offset: Arra
     positions (n, 3), both before and after the best-fitting rigid motion has been removed.
 
     Each value is the root of an expected mean square of the true minus the modelled deviation. The posterior
-    expectation includes the covariance of the parameters, and the expected value and the covariance of the misfit
-    (errors that the model cannot represent).
+    expectation includes the covariance of the parameters, and the expected value and the covariance of the misfit.
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     return expected_vce(estimate, field_forms(estimate, grid, offset))
@@ -106,9 +105,8 @@ def field_forms(estimate: FieldKnowledge, points: Array, offset: Array) -> tuple
     """Return two quadratic forms (p + q, p + q) in mm² that give the mean square of the error field of `estimate` over
     axis positions (n, 3).
 
-    The forms apply to a vector of the p parameters followed by the q coefficients of the misfit (errors that the model
-    cannot represent). The first form is for the field as it is. The second form is for the field after the best-fitting
-    rigid motion has been removed.
+    The forms apply to a vector of the p parameters followed by the q coefficients of the misfit. The first form is for
+    the field as it is. The second form is for the field after the best-fitting rigid motion has been removed.
     """
     sums = _sums(estimate, points, offset)
     # remove the best rigid motion G: FᵀF - FᵀG (GᵀG)⁻¹ GᵀF
@@ -212,14 +210,14 @@ def _second_moments(estimate: FieldKnowledge) -> Array:
 
 
 def unresolved_variance(estimate: FieldKnowledge) -> float:
-    """Return the variance (mm²) per direction of the part of the misfit (errors that the model cannot represent) whose
-    wavelength is too short for its modes. This part is uncorrelated between points."""
+    """Return the variance (mm²) per direction of the part of the misfit whose wavelength is too short for its modes.
+    This part is uncorrelated between points."""
     return 0.0 if estimate.misfit is None else estimate.misfit.unresolved_mm2
 
 
 def field_columns(estimate: FieldKnowledge, points: Array, offset: Array) -> Array:
     """Return the error field (n, 3, p + q) in mm that one unit of each of the p parameters and q misfit coefficients
-    (amplitudes of errors that the model cannot represent) causes at the axis positions `points` (n, 3)."""
+    causes at the axis positions `points` (n, 3)."""
     basis = deviation_basis(estimate.model, points, offset)
     misfit = estimate.misfit
     if misfit is None:

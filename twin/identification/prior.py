@@ -1,5 +1,5 @@
-"""Unknowns of an identification and their units. Both are taken from the family (prior population of machines) and the
-certificate of the artefact, or from an earlier estimate."""
+"""Unknowns of an identification and their units. Both are taken from the family and the certificate of the artefact, or
+from an earlier estimate."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from twin.machine.machine_population import Family
 
 
 def unknowns_of(family: Family, artefact: Artefact, seen: Observations, options: Options) -> Unknowns:
-    """Return the unknowns of an identification. Their units are the standard deviations of the family (prior population
-    of machines) or, if an earlier estimate is carried over as the prior, the units of this estimate.
+    """Return the unknowns of an identification. Their units are the standard deviations of the family or, if an earlier
+    estimate is carried over as the prior, the units of this estimate.
 
     Raise DataError if the prior is zero, has the wrong shape or belongs to another model, or if the weights are equal
     although the artefact has no certificate.

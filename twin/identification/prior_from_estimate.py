@@ -1,11 +1,10 @@
 """Posterior of one estimate as the prior of the next estimate (fusion of nights).
 
-Without process noise, the machine, the artefact and the misfit (errors that the model cannot represent) are assumed to
-be the same in both nights. The prior of the second night is therefore the joint Gaussian posterior of all unknowns that
-the two nights share. The result is then, up to rounding, the same as from one fit of the measurements of both nights.
-With process noise, the machine is assumed to change between the nights by a random walk: of its parameters by stated
-amounts, and of its misfit in the same proportion. A factor on these amounts is learned from the nights and carried on
-with the estimate.
+Without process noise, the machine, the artefact and the misfit are assumed to be the same in both nights. The prior of
+the second night is therefore the joint Gaussian posterior of all unknowns that the two nights share. The result is
+then, up to rounding, the same as from one fit of the measurements of both nights. With process noise, the machine is
+assumed to change between the nights by a random walk: of its parameters by stated amounts, and of its misfit in the
+same proportion. A factor on these amounts is learned from the nights and carried on with the estimate.
 """
 
 from __future__ import annotations

@@ -8,8 +8,8 @@ Each row i is the measurement of one ball in a position k with the tool offset t
 where X_i is the axis position, d the deviation of the model, and b_i(T) the calibrated ball centre at temperature T.
 The pose of the position consists of the translation c_k and the rotation R_k. Every unknown except the poses is part of
 a vector z with a unit-normal prior. The vector contains the parameters E, the certificate errors δb, the thermal strain
-δs (uncertainty of the coefficient of thermal expansion and of the thermometer), the modes of the misfit (errors that
-the model cannot represent) and the drift of the machine. Rows are sorted by position.
+δs (uncertainty of the coefficient of thermal expansion and of the thermometer), the modes of the misfit
+and the drift of the machine. Rows are sorted by position.
 """
 
 from __future__ import annotations

@@ -1,6 +1,5 @@
 """Solution of the equations of an identification, in one formulation (ball centres or pairwise distances): estimation
-of the scales (factors on standard deviations), Gauss-Newton iterations on the exact model, and computation of the
-covariance."""
+of the scales, Gauss-Newton iterations on the exact model, and computation of the covariance."""
 
 from __future__ import annotations
 
@@ -82,8 +81,8 @@ def solve(problem: IdentificationProblem, options: Options, formulation: Formula
 
 
 def average_over_scales(solution: Solution) -> Solution:
-    """Return the solution with z and its covariance averaged over all plausible scales (factors on the standard
-    deviations of noise, prior and misfit), instead of z and its covariance at the likeliest scales."""
+    """Return the solution with z and its covariance averaged over all plausible scales, instead of z and its covariance
+    at the likeliest scales."""
     if not solution.scales_estimated:
         return solution
     equations, scales = solution.equations, solution.scales
@@ -97,8 +96,8 @@ def average_over_scales(solution: Solution) -> Solution:
 def log_evidence_and_scales(
     problem: IdentificationProblem, options: Options, start: Scales | None = None
 ) -> tuple[float, Scales]:
-    """Return the log evidence (marginal likelihood) of the model in `problem` and the likeliest scales (factors on the
-    standard deviations of noise, prior and misfit). Both are computed from ball centres weighted by their covariances.
+    """Return the log evidence (marginal likelihood) of the model in `problem` and the likeliest scales. Both are
+    computed from ball centres weighted by their covariances.
 
     The estimation of the scales starts with `start` if it is given. Terms of the log evidence that depend only on the
     measured rows are omitted.

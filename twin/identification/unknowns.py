@@ -25,8 +25,8 @@ Indices = np.ndarray[Any, np.dtype[np.int64]]
 class UnknownBlocks:
     """Slices that select each kind of unknown from the vector z of all unknowns of an identification.
 
-    The slice `misfit` is divided into the consecutive slices `kinds`, one for each kind of misfit (errors that the
-    model cannot represent). `drifting` is the number of unknowns of the machine's drift, which form the last block.
+    The slice `misfit` is divided into the consecutive slices `kinds`, one for each kind of misfit. `drifting` is the
+    number of unknowns of the machine's drift, which form the last block.
     """
 
     parameters: slice
@@ -119,10 +119,9 @@ class Unknowns:
 
     The first block gives the parameters of `model`: each parameter in mm or rad is its element of z multiplied by its
     element of `scale` (p,). The second and third blocks give the certificate errors and the thermal strain of
-    `artefact`. The fourth block contains the coefficients of the modes `modes` of the misfit (errors that the model
-    cannot represent); the misfit field in mm is the sum of all modes, each multiplied by its coefficient and by
-    `misfit_mm`. The fifth block gives the drift of the machine during the measurement, as defined by `drift`. It is
-    empty if `drift` is None, as in a stored estimate.
+    `artefact`. The fourth block contains the coefficients of the modes `modes` of the misfit; the misfit field in mm is
+    the sum of all modes, each multiplied by its coefficient and by `misfit_mm`. The fifth block gives the drift of the
+    machine during the measurement, as defined by `drift`. It is empty if `drift` is None, as in a stored estimate.
     """
 
     model: ErrorModel

@@ -1,5 +1,4 @@
-"""Random deflection fields of several kinds of structure, for tests of the model of the misfit (errors that the error
-model of a machine cannot represent).
+"""Random deflection fields of several kinds of structure, for tests of the model of the misfit.
 
 In an identification, the misfit model consists of products of Legendre polynomials. The fields of this module are not
 products of Legendre polynomials. They consist of bending lines of beams, sines of any pitch, exponentials and random

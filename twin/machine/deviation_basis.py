@@ -57,8 +57,8 @@ def linear_deviation(
 
 
 def cross_arguments(model: ErrorModel, y: Array, z: Array) -> tuple[Array, Array]:
-    """Return the two arguments v and w of the cross-effect (bending of the column by the weight of the ram). They are
-    the axis positions of Y and Z as fractions of the axis ranges, from 0 at the lower end to 1 at the upper end."""
+    """Return the two arguments v and w of the cross-effect. They are the axis positions of Y and Z as fractions of the
+    axis ranges, from 0 at the lower end to 1 at the upper end."""
     (y_low, y_high), (z_low, z_high) = model.ranges_mm[_Y], model.ranges_mm[_Z]
     return (y - y_low) / (y_high - y_low), (z - z_low) / (z_high - z_low)
 

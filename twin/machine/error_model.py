@@ -56,8 +56,8 @@ Ranges = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 class Parameter:
     """Coefficient of the error model.
 
-    `error` is the ISO name of the error, or CROSS for a term of the cross-effect (bending of the column by the weight
-    of the ram). `order` is the Legendre order; it is 0 for a term that is not a Legendre term.
+    `error` is the ISO name of the error, or CROSS for a term of the cross-effect. `order` is the Legendre order; it is
+    0 for a term that is not a Legendre term.
     """
 
     name: str
@@ -70,7 +70,7 @@ class Parameter:
 @dataclass(frozen=True)
 class ErrorModel:
     """Error model of a machine. The model consists of the kinematic chain, the axis ranges, the Legendre order of each
-    error motion and the active terms of the cross-effect (bending of the column by the weight of the ram)."""
+    error motion and the active terms of the cross-effect."""
 
     chain: Chain
     ranges_mm: Ranges
@@ -156,8 +156,8 @@ class ErrorModel:
         return float(values[start]), float(values[start + 1]), float(values[start + 2])
 
     def cross_terms(self, values: Array) -> Mapping[str, float]:
-        """Return the coefficients b0, b1, b2 (mm) and c0, c1 (rad) of the cross-effect (bending of the column by the
-        weight of the ram). Terms that are not active are zero."""
+        """Return the coefficients b0, b1, b2 (mm) and c0, c1 (rad) of the cross-effect. Terms that are not active are
+        zero."""
         terms = dict.fromkeys(CROSS_TERMS, 0.0)
         terms.update(zip(self.cross_effect, values[self.size - len(self.cross_effect) :].tolist(), strict=True))
         return terms

@@ -46,8 +46,8 @@ class Family:
 
 
 def family_from_amplitudes(model: ErrorModel, amplitudes: Mapping[str, float | Sequence[float]]) -> Family:
-    """Return the family (prior population) of machines in which each parameter has a uniform distribution with the
-    half-width given for its kind of error.
+    """Return the family of machines in which each parameter has a uniform distribution with the half-width given for
+    its kind of error.
 
     `amplitudes` maps kinds of error to half-widths. The kinds `positioning_um`, `straightness_um` and `rotation_urad`
     take one value for each Legendre order, starting at the lowest order of the kind (order 2 for a straightness,

@@ -62,8 +62,7 @@ def draw_machine(
     with_deflection: bool,
     rng: np.random.Generator,
 ) -> TrueMachine:
-    """Draw one machine at random from the family (distribution of the errors of machines of one make) that the machine
-    file `description` defines.
+    """Draw one machine at random from the family that the machine file `description` defines.
 
     The error motions are Legendre series up to `order`. The machine file gives half-widths for the parameters of the
     lowest orders. For each higher order, the half-width is that of the previous order multiplied by the decay factor of

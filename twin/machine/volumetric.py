@@ -1,9 +1,9 @@
 """Volumetric error: the rms length of the deviation over a grid of axis positions.
 
 A rigid motion of the whole workspace is not a machine error, and an artefact whose pose is unknown cannot reveal it.
-Every volumetric error is therefore given twice: raw, and aligned (after the best-fitting rigid motion has been
-removed). If a field is linear in its parameters E, with the basis matrix B at n points, its mean square is the
-quadratic form Eᵀ (BᵀB / n) E. The grid therefore has to be evaluated only once for any number of parameter vectors.
+Every volumetric error is therefore given twice: raw, and aligned. If a field is linear in its parameters E, with the
+basis matrix B at n points, its mean square is the quadratic form Eᵀ (BᵀB / n) E. The grid therefore has to be evaluated
+only once for any number of parameter vectors.
 """
 
 from __future__ import annotations

@@ -54,11 +54,10 @@ class NightFit:
     with the drift factor (factor on the stated process noise) as learned from earlier nights and from this night.
     `expected_factor` is the drift factor before this night.
 
-    `chi2_normalised` is the χ² of the innovation (difference between measured and expected ball centres) per equation,
-    for the drift expected before this night. `probability` is the probability of a night that contradicts the
-    prediction as much as this one or more, if the machine drifts as before; `fits` is True if it is not below the
-    accepted probability of a false alarm. `suspect` is the error whose sudden change would explain a night that does
-    not fit best; it is None if the night fits.
+    `chi2_normalised` is the χ² of the innovation per equation, for the drift expected before this night. `probability`
+    is the probability of a night that contradicts the prediction as much as this one or more, if the machine drifts as
+    before; `fits` is True if it is not below the accepted probability of a false alarm. `suspect` is the error whose
+    sudden change would explain a night that does not fit best; it is None if the night fits.
     """
 
     prior: CarriedOverPrior

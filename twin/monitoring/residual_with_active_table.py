@@ -23,11 +23,9 @@ from twin.machine.volumetric import VolumetricRms
 class ResidualWithTable:
     """Expected volumetric error that remains over a workspace while a compensation table is active, for one tool.
 
-    `unknowns` defines the P unknowns z: the parameters of the error model, the coefficients of the misfit (the part of
-    the true deviations that the error model cannot represent), and others. `form` contains the quadratic forms, shape
-    (P, P), that give the mean square error, raw and aligned (after the best-fitting rigid motion has been removed),
-    from z. `left_out_mm2` is the mean square, in mm², of the part of the misfit that the misfit modes (the basis
-    functions of the misfit) do not represent.
+    `unknowns` defines the P unknowns z: the parameters of the error model, the coefficients of the misfit, and others.
+    `form` contains the quadratic forms, shape (P, P), that give the mean square error, raw and aligned, from z.
+    `left_out_mm2` is the mean square, in mm², of the part of the misfit that the misfit modes do not represent.
     """
 
     unknowns: Unknowns
@@ -40,14 +38,13 @@ class ResidualWithTable:
         offset, shape (3,), in mm.
 
         `scales` are the factors by which the current estimate multiplies the standard deviations of noise, prior and
-        misfit (the part of the true deviations that the error model cannot represent).
+        misfit.
         """
         form = Criterion.build(unknowns, grid, tool_offset)
         return cls(unknowns, form, 3.0 * left_out_variance(unknowns, scales))
 
     def of(self, mean: Array, covariance: Array, written: ArrayLike) -> VolumetricRms:
-        """Return the root of the expected mean square of the residual field (deviations of the machine minus those that
-        the table compensates).
+        """Return the root of the expected mean square of the residual field.
 
         The P unknowns z of the machine have the given `mean`, shape (P,), and `covariance`, shape (P, P). `written`,
         shape (p,), contains the model parameters in mm or rad from which the table was computed.

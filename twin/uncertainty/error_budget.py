@@ -51,10 +51,10 @@ determine them or the prior shrinks them towards zero.
 class ErrorBudget:
     """Contribution of each influence, such as touch noise, to the expected volumetric compensated error (VCE).
 
-    The residual field (true machine minus compensation model) has u parameters: those of the joint model of `field`,
-    which combines the identified model and the model of the true machines. `moments` contains, for each influence, the
-    second moments, shape (u, u), that the influence causes in these parameters. `bias`, shape (u,), contains the errors
-    that the deflection causes in the parameters. The deflection is the same for all true machines.
+    The residual field has u parameters: those of the joint model of `field`, which combines the identified model and
+    the model of the true machines. `moments` contains, for each influence, the second moments, shape (u, u), that the
+    influence causes in these parameters. `bias`, shape (u,), contains the errors that the deflection causes in the
+    parameters. The deflection is the same for all true machines.
     """
 
     field: FieldForm
@@ -134,10 +134,9 @@ def error_budget(
     """Return the error budget of a calibration procedure that identifies `model` from planned `observations`.
 
     The true machines follow `assumptions`; `family` is the prior of the identification. The error after compensation is
-    evaluated for a tool offset, shape (3,), on a `grid` of axis positions, shape (n, 3), in mm. The scales (factors on
-    the standard deviations of noise, prior and misfit) are 1 and no ball is rejected, regardless of `options`. To
-    evaluate many sets of artefact positions, build the `FieldForm` (quadratic form of the residual field) once and use
-    `error_budget_of_form`.
+    evaluated for a tool offset, shape (3,), on a `grid` of axis positions, shape (n, 3), in mm. The scales are 1 and no
+    ball is rejected, regardless of `options`. To evaluate many sets of artefact positions, build the `FieldForm`
+    (quadratic form of the residual field) once and use `error_budget_of_form`.
     """
     return error_budget_of_form(
         FieldForm.build(model, assumptions, grid, tool_offset), family, artefact, observations, options
@@ -149,8 +148,8 @@ def error_budget_of_form(
 ) -> ErrorBudget:
     """Return the error budget of a calibration procedure for an existing quadratic form `field`.
 
-    `field` is the quadratic form of the residual field (true machine minus compensation model). `family` is the prior
-    of the identification. Raises DataError if `family` belongs to another error model than `field`.
+    `field` is the quadratic form of the residual field. `family` is the prior of the identification. Raises DataError
+    if `family` belongs to another error model than `field`.
     """
     if family.model != field.model:
         raise DataError("the family belongs to another model", hint="use the family of the same machine file")

@@ -1,9 +1,9 @@
 """Identification as a linear map from measurement errors to parameters; the linearisation is accurate to nanometres.
 
 No measurements are needed. For the planned ball centres, the estimate is the product of a matrix K and the data if no
-scales (factors on the standard deviations of noise, prior and misfit) are estimated and no outliers are rejected. K =
-H⁻¹Aᵀ follows from the design matrix A and the posterior precision H (the inverse of the posterior covariance). Both
-depend on the formulation of the equations (ball centres or distances), the weights and the prior that are chosen.
+scales are estimated and no outliers are rejected. K = H⁻¹Aᵀ follows from the design matrix A and the posterior
+precision H (the inverse of the posterior covariance). Both depend on the formulation of the equations (ball centres or
+distances), the weights and the prior that are chosen.
 """
 
 from __future__ import annotations

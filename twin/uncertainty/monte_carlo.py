@@ -2,10 +2,9 @@
 residual error.
 
 Every quantity that `twin.identification` models as uncertain is drawn at random here. The machine is drawn from its
-family (distribution of the errors of machines of one make), which may have any Legendre order and a deflection; its
-parameters are uniformly distributed. The artefact is drawn from its certificate. The errors of thermometer, drift and
-touches are drawn from their uncertainties. The true field is computed from the exact product of the axis transforms,
-not from its linearisation.
+family, which may have any Legendre order and a deflection; its parameters are uniformly distributed. The artefact is
+drawn from its certificate. The errors of thermometer, drift and touches are drawn from their uncertainties. The true
+field is computed from the exact product of the axis transforms, not from its linearisation.
 """
 
 from __future__ import annotations

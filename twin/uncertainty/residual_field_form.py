@@ -30,7 +30,7 @@ IndexArray = np.ndarray[Any, np.dtype[np.int64]]
 
 @dataclass(frozen=True, eq=False)
 class FieldForm:
-    """Quadratic form that gives the mean square of the residual field (true machine minus compensation model).
+    """Quadratic form that gives the mean square of the residual field.
 
     The joint model has u parameters: all p parameters of the identified `model` and all t parameters of the true
     machines, which `assumptions` describe. `form` is the quadratic form of the joint model; it includes the deflection

@@ -21,9 +21,8 @@ class MixtureComponent:
     """One Gaussian of a mixture that describes the posterior distribution of a machine.
 
     `mean`, shape (m,), and `covariance`, shape (m, m), refer to a vector that contains the model parameters (mm or
-    rad), followed by the coefficients of the misfit (the part of the true deviations that the model cannot represent).
-    `unresolved_mm2` is the variance per direction, in mm², of the part of the misfit whose wavelength is too short for
-    the misfit modes (the basis functions of the misfit).
+    rad), followed by the coefficients of the misfit. `unresolved_mm2` is the variance per direction, in mm², of the
+    part of the misfit whose wavelength is too short for the misfit modes.
     """
 
     mean: Array
@@ -39,8 +38,7 @@ class MixtureComponent:
 def mixture_components(estimate: Estimate) -> tuple[MixtureComponent, ...]:
     """Return the Gaussians of the posterior distribution that `estimate` describes; all have equal weight.
 
-    There is only one Gaussian if no scales (factors on the standard deviations of noise, prior and misfit) were
-    estimated.
+    There is only one Gaussian if no scales were estimated.
     """
     if not estimate.alternatives:
         return (_as_stated(estimate),)

@@ -83,7 +83,7 @@ class VolumetricDistribution:
 
     @property
     def expected(self) -> VolumetricRms:
-        """Root of the expected mean square deviation in mm, raw and aligned (best-fitting rigid motion removed)."""
+        """Root of the expected mean square deviation in mm, raw and aligned."""
         return VolumetricRms(math.sqrt(self.raw.mean), math.sqrt(self.aligned.mean))
 
     @property
@@ -119,8 +119,7 @@ def volumetric_distributions(estimate: Estimate, points: ArrayLike, tool_offset:
     """Return the distributions of the volumetric error with and without compensation, given `estimate`.
 
     The error is taken over the axis positions `points`, shape (n, 3), in mm. The distributions are averaged over all
-    sets of scales (factors on the standard deviations of noise, prior and misfit) that are compatible with the
-    measurements. Raises DataError if a covariance is invalid or zero.
+    sets of scales that are compatible with the measurements. Raises DataError if a covariance is invalid or zero.
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     written = np.zeros(_size(estimate))

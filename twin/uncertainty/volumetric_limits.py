@@ -51,7 +51,7 @@ def volumetric_limits(estimate: Estimate, points: ArrayLike, tool_offset: ArrayL
     """Return the limits of the equal-tailed intervals that contain the VE and the VCE with a probability of 95 %.
 
     The errors are taken over the axis positions `points` (n, 3) in mm. The limits take into account all sets of scales
-    (factors on the standard deviations of noise, prior and misfit) that the measurements allow.
+    that the measurements allow.
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     return limits_of_form(estimate, field_forms(estimate, grid, offset)[1])
@@ -61,8 +61,7 @@ def limits_of_form(estimate: Estimate, form: Array) -> VolumetricLimits:
     """Return the limits that `volumetric_limits` returns, from the quadratic form (p + q, p + q) in mm² that gives the
     mean square of the error field after the best-fitting rigid motion has been removed.
 
-    The form applies to the p parameters followed by the q coefficients of the misfit (errors that the model cannot
-    represent).
+    The form applies to the p parameters followed by the q coefficients of the misfit.
     """
     written = np.zeros(len(form))
     written[: estimate.model.size] = estimate.parameters

@@ -17,7 +17,7 @@ from agent.settings.load import load_settings, naming
 def connected(config: Path) -> Iterator[tuple[Job, Rig]]:
     """Open the devices named in the settings file `config` for the duration of the `with` block.
 
-    Yield the job (the calibration prepared from the settings), and the rig, which holds the open devices.
+    Yield the job, and the rig, which holds the open devices.
     """
     settings = load_settings(config)
     base = config.resolve().parent

@@ -32,8 +32,8 @@ class DesignProblem:
 
     `jobs` maps the name of each tool to the job with that tool; the tool of the settings is the first. `grid_deg` is
     the spacing of the candidate orientations of the artefact in degrees. `refused` contains the positions that a
-    preflight (simulated execution of the plan) has refused. `feasibility` maps the name of a tool to the feasibility
-    check with that tool; the checks remain valid if further positions are refused.
+    preflight has refused. `feasibility` maps the name of a tool to the feasibility check with that tool; the checks
+    remain valid if further positions are refused.
     """
 
     jobs: Mapping[str, Job]

@@ -1,7 +1,7 @@
 """Finished design of a position set.
 
 The positions are selected from the candidates, put in measuring order, timed with the plan of the run, and checked by a
-preflight (simulated execution of the plan).
+preflight.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class DesignResult:
     selected positions in measuring order. `minutes` is the machine time in minutes, computed from the plan of the run.
     `valuation` is the expected volumetric error before and after compensation. `balls` is the number of ball
     measurements. `held_out` contains the positions for verification, if they were requested. `preflight_passed` is True
-    if a preflight (simulated execution of the plan) was carried out and passed.
+    if a preflight was carried out and passed.
     """
 
     problem: DesignProblem

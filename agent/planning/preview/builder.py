@@ -1,5 +1,5 @@
-"""Preview of a job (prepared calibration): all positions, the path of the stylus tip through them, and the reason why
-the preflight refused the plan, if it did.
+"""Preview of a job: all positions, the path of the stylus tip through them, and the reason why the preflight refused
+the plan, if it did.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MARGIN_MM = 200.0
 def preview_of(job: Job, plan: Planner | Sequence[Waypoint], refused: PlanRefused | None = None) -> Preview:
     """Return the preview of the plan of `job`.
 
-    `refused` is the error with which the preflight (simulated execution) refused the plan, or None if the plan passed.
+    `refused` is the error with which the preflight refused the plan, or None if the plan passed.
     `plan` is the function that returns the plan, or the path of the stylus tip if it has already been computed.
     """
     waypoints = walk_waypoints(job, plan, refused) if callable(plan) else plan

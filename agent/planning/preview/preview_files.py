@@ -27,7 +27,7 @@ PROGRAM = ("camera.js", "model.js", "shapes.js", "painting.js", "controls.js", "
 def write_preview(job: Job, plan_of: Planner, folder: Path, refused: PlanRefused | None = None) -> list[Path]:
     """Write the preview of the plan that `plan_of` returns for `job` into `folder` and return the paths of the files.
 
-    `refused` is the error with which the preflight (simulated execution) refused the plan, or None if the plan passed.
+    `refused` is the error with which the preflight refused the plan, or None if the plan passed.
     """
     preview = preview_of(job, plan_of, refused)
     write_all_atomically(folder, {PICTURE: draw_png(preview), PAGE: render_page(preview)})

@@ -35,9 +35,9 @@ class PreviewBall:
 class ArtefactPlacement:
     """Artefact in one position (station and orientation), with the mount that holds it.
 
-    `bodies` contains the solid bodies of the artefact (balls, posts and bar or frame) and of the mount (shaft and
-    pedestal), and all other stationary bodies except the machine table. `held_out` is True if the position is measured
-    only for verification.
+    `bodies` contains the balls, posts and bar or frame of the artefact, the shaft and pedestal of the mount, and all
+    other stationary bodies except the machine table. `held_out` is True if the position is measured only for
+    verification.
     """
 
     position: Position

@@ -1,6 +1,5 @@
-"""Measuring order of the balls of one position (one orientation and place of the artefact). The balls that determine
-the pose of the artefact are measured first. The other balls are then measured on the fastest path from the last of
-these balls back to the first."""
+"""Measuring order of the balls of one position. The balls that determine the pose of the artefact are measured first.
+The other balls are then measured on the fastest path from the last of these balls back to the first."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
 """Fastest collision-free paths of one run: from touch to touch, from ball to ball, and from one pose of the artefact to
 the next.
 
-Paths are searched among the bodies at their nominal places, in coordinates relative to the location of the mount (the
-rotary device that holds the artefact). For this reason, a path that was found once can be used at every station and
-each time a position is measured. The uncertainty of the pose is added to the clearance between the bodies. When a path
-is used, its corners are shifted to the measured location of the artefact.
+Paths are searched among the bodies at their nominal places, in coordinates relative to the location of the mount. For
+this reason, a path that was found once can be used at every station and each time a position is measured. The
+uncertainty of the pose is added to the clearance between the bodies. When a path is used, its corners are shifted to
+the measured location of the artefact.
 """
 
 from __future__ import annotations
@@ -406,6 +406,9 @@ class FreePathFinder:
         return self.rules.lower_mm + shift + margin_mm, self.rules.upper_mm + shift - margin_mm
 
     def _reach_mm(self, pose: ArtefactPose) -> float:
+        # The travel along the stations is cut to this distance, so that stations whose travel extends farther share
+        # their cached paths. Ten cells are more than the four by which the grid of `turn_sweep` exceeds the bodies: the
+        # tip can still wait where the turning artefact does not limit it.
         return (
             self.bodies.cover(pose).reach_mm
             + self.layout.probe.ram_half_width_mm

@@ -1,6 +1,5 @@
-"""Retreat plane (an axis position that no part of the artefact or mount reaches) and park locations beside the stations
-(places of the mount). Paths by way of this plane and these locations are safe between positions without a collision
-check."""
+"""Retreat plane and park locations beside the stations. Paths by way of this plane and these locations are safe between
+positions without a collision check."""
 
 from __future__ import annotations
 

@@ -268,7 +268,10 @@ class ShortestPathPlanner:
         beside = here - np.array(tip.location.direction) * (touch.out_mm - tip.location.out_mm)
         leaving = [beside] if tip.location.touching else []
         before = before_ball(touch, self._probing)
+        # After a touch of this ball, the tip is about `out_mm` from its centre. The factor 2 leaves room for the shift
+        # of the centre that the touch has revealed.
         if float(np.linalg.norm(here - touch.centre)) < 2.0 * touch.out_mm:
+            # Project on the stylus axis: withdraw along it to the depth of `before`, and cross over in that plane.
             depth = before - touch.centre
             back = beside + self._probing.stylus_axis * float(
                 (depth - (beside - touch.centre)) @ self._probing.stylus_axis

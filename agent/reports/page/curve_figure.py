@@ -1,5 +1,4 @@
-"""Figures of the geometric error functions and of the cross-effect (bending of the column by the weight of the extended
-ram).
+"""Figures of the geometric error functions and of the cross-effect.
 
 The figure of the geometric error functions has a row for each axis and a column for each of the six error motions of an
 axis according to ISO 230-1.

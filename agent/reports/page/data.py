@@ -42,7 +42,7 @@ class Header:
 
 @dataclass(frozen=True)
 class VerifiedPosition:
-    """Held-out position (measured, but not used for the estimate) with its rms residuals in µm.
+    """Held-out position with its rms residuals in µm.
 
     `before_um` and `after_um` are the rms residuals of the position's balls before and after activation of the new
     compensation table. `predicted_um` is the predicted rms residual after activation.
@@ -56,8 +56,7 @@ class VerifiedPosition:
 
 @dataclass(frozen=True)
 class VerificationFacts:
-    """Result of the verification of a new compensation table by held-out positions (measured, but not used for the
-    estimate).
+    """Result of the verification of a new compensation table by held-out positions.
 
     `before` and `after` are the rms residuals per ball before and after activation of the table; `before` is None if it
     was not measured. `predicted_um` is the prediction of `after`. `least_known` is True if the positions were chosen
@@ -111,8 +110,8 @@ class QuestionFacts:
 class NightFacts:
     """Decision of a nightly run or a verification.
 
-    `since` is the identity of the run of the last accepted night (the last run whose estimate was accepted as the
-    reference). `rows` contains the name and the text of each value on which the decision is based.
+    `since` is the identity of the run of the last accepted night. `rows` contains the name and the text of each value
+    on which the decision is based.
     """
 
     decision: str
@@ -140,10 +139,9 @@ class RunFacts:
     """Data of a run on a machine.
 
     `times` contains table rows about the start and the end of the run. `banks` contains table rows about the
-    compensation table before the run, the table that was written, and the controller's bank (memory for one table) that
-    is active at the end. `trend` is an SVG that shows the main results of all runs up to this run. `drifts_um` contains
-    one value in µm for each position: the displacement of the position's first ball when it was measured again at the
-    end of the position.
+    compensation table before the run, the table that was written, and the controller's bank that is active at the end.
+    `trend` is an SVG that shows the main results of all runs up to this run. `drifts_um` contains one value in µm for
+    each position: the displacement of the position's first ball when it was measured again at the end of the position.
     """
 
     touches: int | None = None

@@ -63,8 +63,8 @@ def geometric_error_curves(model: ErrorModel, parameters: Array, covariance: Arr
 
 
 def cross_effect_curves(model: ErrorModel, parameters: Array, covariance: Array) -> tuple[ErrorCurve, ...]:
-    """Return the curves of the contributions of the cross-effect (bending of the column by the weight of the ram) to
-    the error motions EYZ and EAZ with the ram fully extended, as functions of Z.
+    """Return the curves of the contributions of the cross-effect to the error motions EYZ and EAZ with the ram fully
+    extended, as functions of Z.
 
     The result is empty if the error model has no cross-effect.
     """

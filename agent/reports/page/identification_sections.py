@@ -1,5 +1,5 @@
 """Sections of the report about the identification of the machine's errors: summary, squareness, residuals, fit, null
-directions (combinations of parameters that the measurement does not determine), compensation table and parameters."""
+directions, compensation table and parameters."""
 
 from __future__ import annotations
 

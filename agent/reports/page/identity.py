@@ -125,8 +125,8 @@ def _machine(identification: IdentificationData) -> Rows:
 
 
 def validity(data: ReportData, identification: IdentificationData) -> list[str]:
-    """Return statements about the tool offset (vector from the ram to the stylus centre), about the thermometer of the
-    artefact, and about the region of the workspace for which the result is valid."""
+    """Return statements about the tool offset, about the thermometer of the artefact, and about the region of the
+    workspace for which the result is valid."""
     seen = identification.observations
     used = [seen.tool_offsets[tool] for tool in np.unique(seen.tool)]
     lengths = " and ".join(point(offset) for offset in used)

@@ -1,5 +1,5 @@
-"""Figures of a run on a machine: the temperatures over time, and the residuals at the held-out positions (measured, but
-not used for the estimate) before and after activation of the new compensation table."""
+"""Figures of a run on a machine: the temperatures over time, and the residuals at the held-out positions before and
+after activation of the new compensation table."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ def draw_position_temperatures(position: np.ndarray, temperature_c: np.ndarray) 
 
 
 def draw_verification(positions: Sequence[VerifiedPosition]) -> str:
-    """Return an SVG with three values for each held-out position (measured, but not used for the estimate): the rms
-    residual before and after activation of the new compensation table, and twice the predicted rms residual."""
+    """Return an SVG with three values for each held-out position: the rms residual before and after activation of the
+    new compensation table, and twice the predicted rms residual."""
     drawing = Drawing("verification", 10.4, 2.6, Margins(bottom=0.72, left=0.7))
     with drawing as figure:
         panel = figure.subplots()

@@ -1,5 +1,5 @@
-"""Sections of the report about a run on a machine: verification, nightly run, gates (limits for the estimate and the
-table), questions to the operator, inputs, events and signatures."""
+"""Sections of the report about a run on a machine: verification, nightly run, gates, questions to the operator, inputs,
+events and signatures."""
 
 from __future__ import annotations
 

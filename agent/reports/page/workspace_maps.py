@@ -1,5 +1,5 @@
-"""Maps of the machine's deviation (vector from the nominal to the actual tool position) and of its uncertainty over XY
-planes of the workspace, after removal of the best-fitting rigid motion."""
+"""Maps of the machine's deviation and of its uncertainty over XY planes of the workspace, after removal of the
+best-fitting rigid motion."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class WorkspaceMaps:
 
 
 def workspace_maps(estimate: ReportedEstimate, tool_offset: Array, measured: Array) -> WorkspaceMaps:
-    """Return maps of the machine's deviation (vector from the nominal to the actual tool position) and of its
-    uncertainty, at the lower end, the middle and the upper end of the Z travel.
+    """Return maps of the machine's deviation and of its uncertainty, at the lower end, the middle and the upper end of
+    the Z travel.
 
     `measured` (n, 3) contains the axis positions of the n balls in mm. Each ball is shown on the nearest plane.
     """

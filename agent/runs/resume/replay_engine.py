@@ -78,7 +78,7 @@ class ReplayingEngine(Engine):
     """Engine of a resumed run. It first returns the recorded results of steps, then carries out the remaining steps.
 
     `stored` is a function that returns a compensation table from the journal or the controller, given its CRC-32 and
-    its bank (storage place in the controller).
+    its bank.
     """
 
     def __init__(

@@ -119,7 +119,7 @@ def resumable_origin(state_directory: Path) -> Origin:
 
 def stored_tables(journal: RunJournal, rig: Rig) -> Callable[[int, int], TableImage]:
     """Return a function that returns a compensation table from the journal or else from the controller. The table is
-    identified by its bank (storage place in the controller) and its CRC-32.
+    identified by its bank and its CRC-32.
 
     The returned function raises PlanDiverged if the bank no longer contains the table with this CRC-32.
     """

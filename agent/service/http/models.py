@@ -142,8 +142,8 @@ class RunSummary(BaseModel):
 
 
 class RunDetails(RunSummary):
-    """Run with its request (`asked`), its gates (limits that its results had to meet) and its decisions. `accepted` is
-    true if the table of the run was accepted, so that later nightly runs refer to it."""
+    """Run with its request (`asked`), its gates and its decisions. `accepted` is true if the table of the run was
+    accepted, so that later nightly runs refer to it."""
 
     position_set: str
     asked: dict[str, Any] | None

@@ -34,7 +34,7 @@ class RunHooksFactory:
     def hooks(
         self, run: RunMailbox, clock: ClockSettings, *, attended: bool, slot_minutes: float | None = None
     ) -> RunHooks:
-        """Return the hooks (functions that the run calls) of `run`.
+        """Return the hooks of `run`.
 
         `attended` is True if a person can answer questions. `slot_minutes` limits the machine time in min; if it is
         None, there is no limit. Raise ConfigurationError if the clock cannot be created.

@@ -132,7 +132,7 @@ def _statements(session: SetupSession) -> APIRouter:
 
     @router.post("/touched")
     def touched(body: TouchBody) -> Document:
-        """Keep whether a person has checked the probe input without us."""
+        """Record whether a person has checked the probe input by hand."""
         return session.state_touch(by_hand=body.by_hand)
 
     @router.post("/review")

@@ -60,7 +60,7 @@ class SetupSession:
     # ------------------------------------------------------------------ what was stated
 
     def state(self, texts: Mapping[str, str]) -> Document:
-        """Take over the texts of fields, of which an empty one withdraws the statement, and return the document.
+        """Store the texts of fields and return the document. An empty text withdraws the value of its field.
 
         Raises InputError if there is no such field.
         """

@@ -44,8 +44,7 @@ class Archive:
             return [self._summary(counts) for counts in reader.run_counts(limit, before_run)]
 
     def run(self, run_id: str) -> Document:
-        """Return the summary of a run with its request, its gates (limits that its results had to meet) and its
-        decisions."""
+        """Return the summary of a run with its request, its gates and its decisions."""
         with self._reading() as reader:
             run = _run(reader, run_id).run
             (counts,) = reader.run_counts(1, run + 1)

@@ -1,7 +1,7 @@
 """Data for the live view of the web page: the machine, the artefact in every position, and the path of the stylus tip.
 
-During a run the path comes from the preflight (simulated execution) of that run. Between runs it comes from the plan
-that is made from the settings; this plan is computed once and cached.
+During a run the path comes from the preflight of that run. Between runs it comes from the plan that is made from the
+settings; this plan is computed once and cached.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class LiveView:
         self._cached: tuple[tuple[object, ...], Document] | None = None
 
     def preflight_passed(self, run_id: str, job: Job, preflight: PreflightResult) -> None:
-        """Show the plan of the run `run_id`, which has passed its preflight (simulated execution)."""
+        """Show the plan of the run `run_id`, which has passed its preflight."""
         self._current = (run_id, job, preflight)
 
     def end_run(self) -> None:

@@ -54,8 +54,8 @@ class _Process(NamedTuple):
 class ProcessMonitor:
     """Monitor of LinuxCNC's processes by their heartbeats; the calling process must have a HAL component.
 
-    `nml_file` describes LinuxCNC's shared buffers. What cannot be observed on this LinuxCNC is not watched; `watched`
-    names what is.
+    `nml_file` describes LinuxCNC's shared buffers. Processes whose heartbeat this version of
+    LinuxCNC does not publish are not monitored; `watched` names the monitored ones.
     """
 
     def __init__(self, nml_file: str) -> None:
@@ -170,7 +170,7 @@ def _processes() -> dict[str, _Process]:
 
 
 def _dead(process: _Process) -> str:
-    """Return why a process no longer works, or an empty string if it does."""
+    """Return why a process no longer works, or an empty string if it works."""
     fields = _stat(process.pid)
     if not fields or fields[-1] != process.started or fields[0] in "ZX":
         return "has ended"

@@ -19,8 +19,8 @@ from agent.planning.job_preparation import prepare_job
 from agent.probing.run_plan import MeasuredPositions, MeasuringOrder, measure_positions
 from agent.settings.schema import Settings
 from campaigns.nights.play import build_rig
-from campaigns.plans.judge import CollisionJudge
-from campaigns.plans.moving import AlarmClock
+from campaigns.plans.collision_check import CollisionJudge
+from campaigns.plans.motion_run import AlarmClock
 from simulators.scenario import ScenarioDocument, build_scenario
 from simulators.world.world import World
 from twin.artefact.mount_geometry import MountGeometry

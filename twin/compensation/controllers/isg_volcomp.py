@@ -3,10 +3,9 @@ according to ISO 230-1 in the file format ISG_CSV.
 
 The format is described in the section "ISG CSV format" of the manual TF5280. A file consists of blocks separated by
 `#`. Each block has a header line with its argument axes and parameter names. Values are in mm and rad, and `//` begins
-a comment. A block may have several argument columns. They are used here for the cross-effect (bending of the column by
-the weight of the extended ram), which depends on Y and Z. In the interpolation mode GRID, the kernel interpolates
-linearly on a grid. The parameters are errors, and the kernel moves against them (`negate` in P-VOLC-00009 reverses the
-direction).
+a comment. A block may have several argument columns. They are used here for the cross-effect, which depends on Y and Z.
+In the interpolation mode GRID, the kernel interpolates linearly on a grid. The parameters are errors, and the kernel
+moves against them (`negate` in P-VOLC-00009 reverses the direction).
 
 The squareness parameters A0Z, B0Z and C0Y are written as zeros in the first block. The manual does not state clearly
 whether these parameters also rotate the parts that the axis carries. Squareness is therefore written as slopes of the
@@ -177,9 +176,7 @@ def _deviation(motions: Motions, model: ErrorModel, table: CompensationTable, ax
 def _over_y_and_z(values: Array, table: CompensationTable, axis_positions: Array) -> Array:
     """Interpolate `values` bilinearly at axis positions (n, 3) and return the result (n,).
 
-    The values are given at the nodes of Y and Z.
-
-    Beyond the border the values are constant.
+    The values are given at the nodes of Y and Z. Beyond the outermost nodes they are constant.
     """
     over_z = np.array([np.interp(axis_positions[:, 2], table.z, row) for row in values])
     inside = np.clip(axis_positions[:, 1], table.y[0], table.y[-1])

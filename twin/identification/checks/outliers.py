@@ -65,6 +65,8 @@ def contradicting_rows(found: WhitenedResiduals, false_alarm: float) -> Rows:
     all rows.
     """
     square = found.square / found.scale
+    # Without outliers, t²/3 follows the F distribution with 3 and f degrees of freedom. The division by the number of
+    # rows (Bonferroni) makes `false_alarm` the probability for the whole set.
     limit = 3.0 * float(fdtri(3.0, found.degrees_of_freedom, 1.0 - false_alarm / len(square)))
     limit = max(limit, _COMPARABLE_SHARE * float(square.max()))
     starts = np.cumsum(found.counts) - found.counts

@@ -19,7 +19,7 @@ import httpx
 from agent.planning.case_file import CASE_STUDY, SHIPPED_CONFIGURATION
 from agent.service import address_file
 from agent.service.allowed_requests import AT_REST
-from campaigns.fortnight.almanac import set_calendar
+from campaigns.fortnight.simulated_calendar import set_calendar
 
 Found = TypeVar("Found")
 Document = dict[str, Any]

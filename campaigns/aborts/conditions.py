@@ -6,8 +6,8 @@ from typing import Any
 
 from agent.execution.states import RunState
 from agent.runs.session import RunResult
-from campaigns.aborts.breaking import Interrupter
 from campaigns.aborts.case import FORMER_BANK, FORMER_TABLE
+from campaigns.aborts.interruption_kinds import Interrupter
 from drivers.roles import MotionState
 
 SETTLE_S = 60.0

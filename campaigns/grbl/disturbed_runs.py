@@ -20,9 +20,9 @@ from agent.runs.kinds.calibrate import FullCalibration
 from agent.runs.run_context import RunHooks
 from agent.runs.session import RunResult, carry_out
 from campaigns.aborts.case import InMemoryDatabase, prepare_case
-from campaigns.aborts.forks import Forks
-from campaigns.grbl.disturbing import KINDS, Observation, disturb
-from campaigns.grbl.judging import judge
+from campaigns.aborts.forked_copies import Forks
+from campaigns.grbl.conditions import judge
+from campaigns.grbl.disturbance_kinds import KINDS, Observation, disturb
 from campaigns.grbl.scene import DisturbedMachine
 from drivers.serial_cnc.bank_files import BankFiles
 

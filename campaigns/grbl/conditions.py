@@ -9,7 +9,7 @@ import numpy as np
 from agent.execution.journal_reader import JournalReader
 from agent.execution.states import RunState
 from agent.runs.session import RunResult
-from campaigns.grbl.disturbing import BRAKED_AFTER_S, END_REASON, KINDS, Observation
+from campaigns.grbl.disturbance_kinds import BRAKED_AFTER_S, END_REASON, KINDS, Observation
 from campaigns.grbl.scene import DisturbedMachine
 from drivers.roles import MotionState
 

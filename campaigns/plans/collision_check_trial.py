@@ -1,4 +1,4 @@
-"""Test of the independent collision check (`judge.py`).
+"""Test of the independent collision check (`collision_check.py`).
 
 On random straight moves among the bodies on the table, its results (collision or not) are compared with those of the
 simulator.
@@ -14,8 +14,8 @@ from typing import Self
 
 import numpy as np
 
-from campaigns.plans.drawing import DrawnCase, draw, with_start
-from campaigns.plans.judge import STEP_MM, TOLERANCE_MM, JudgeResult, ProbeDimensions, build_cloud, judge_tips
+from campaigns.plans.collision_check import STEP_MM, TOLERANCE_MM, JudgeResult, ProbeDimensions, build_cloud, judge_tips
+from campaigns.plans.random_cases import DrawnCase, draw, with_start
 from drivers.errors import UserError
 from simulators.world.mount import AZIMUTH, ELEVATION
 from simulators.world.world import World

@@ -29,8 +29,7 @@ class MotionOnlyRun(GuardedRun):
 
 @dataclass
 class MotionOnlyKind:
-    """Run kind whose preflight (simulated execution of the plan) is computed once, from the position at which the first
-    run starts.
+    """Run kind whose preflight is computed once, from the position at which the first run starts.
 
     A second run of the same plan uses the same preflight and must therefore start at the same position.
     """

@@ -18,11 +18,11 @@ from agent.planning.case_file import SHIPPED_CONFIGURATION
 from agent.runs.kinds.calibrate import FullCalibration
 from agent.runs.run_context import RunHooks
 from agent.runs.session import RunResult, carry_out
-from campaigns.aborts.breaking import Interrupter
 from campaigns.aborts.case import FORMER_BANK, FORMER_TABLE, InMemoryDatabase, build_case_world, prepare_case
-from campaigns.aborts.judging import check_interruption
+from campaigns.aborts.conditions import check_interruption
+from campaigns.aborts.interruption_kinds import Interrupter
 from campaigns.nights.play import build_rig
-from campaigns.plans.moving import AlarmClock
+from campaigns.plans.motion_run import AlarmClock
 
 MEASURING = ("measure/", "verify/", "probe/")
 NEIGHBOURS = 4
@@ -132,8 +132,8 @@ def check_refused_and_restored() -> dict[str, Any]:
     """Carry out two uninterrupted runs that must end with the former table (active before the run) active again, and
     return the failures.
 
-    In the first run a gate (a limit that the result must keep before a write) refuses the new table. In the second run
-    the verification fails, and the former table is restored.
+    In the first run a gate refuses the new table. In the second run the verification fails, and the former table is
+    restored.
     """
     failed = []
     for name, (sections, state) in ENDS.items():

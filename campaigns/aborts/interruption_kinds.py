@@ -17,8 +17,8 @@ from agent.execution.engine import Action
 from agent.execution.rig import Rig
 from agent.execution.supervisor import Supervisor
 from campaigns.aborts.case import InMemoryDatabase
-from campaigns.aborts.forks import Forks
-from campaigns.plans.moving import AlarmClock
+from campaigns.aborts.forked_copies import Forks
+from campaigns.plans.motion_run import AlarmClock
 from drivers.errors import CommandRejected, GuardTripped, LinkLost
 from simulators.world.world import World
 
@@ -101,7 +101,7 @@ class Interrupter:
     key: str = ""
 
     def rig(self, whole: Rig) -> Rig:
-        """Return a rig (the devices of a run and its actions) that is equal to `whole` except for two things.
+        """Return a rig that is equal to `whole` except for two things.
 
         The device of the returned rig is reached through a `BreakableLink`, and all actions of the rig are carried out
         by `Interrupter.perform`.
@@ -174,7 +174,7 @@ class Interrupter:
 
 
 class InterruptibleRig(Rig):
-    """Rig (the devices of a run and its actions) whose actions are all carried out by `Interrupter.perform`."""
+    """Rig whose actions are all carried out by `Interrupter.perform`."""
 
     def __init__(self, interrupter: Interrupter, given: dict[str, Any]) -> None:
         super().__init__(**given)
