@@ -12,12 +12,15 @@ from pathlib import Path
 import click
 
 from agent.cli.errors import reported
+from agent.cli.invocation import will_run
 from agent.cli.options import config_option
-from agent.execution.run_record import run_ids
-from agent.files import write_all_atomically
-from agent.reports.render_from_journal import render_from_journal
-from agent.settings.load import naming, read_settings
-from drivers.errors import InputError
+
+if will_run():
+    from agent.execution.run_record import run_ids
+    from agent.files import write_all_atomically
+    from agent.reports.render_from_journal import render_from_journal
+    from agent.settings.load import naming, read_settings
+    from drivers.errors import InputError
 
 LAST = "last"
 

@@ -12,13 +12,16 @@ from typing import Any
 import click
 
 from agent.cli.errors import reported
-from agent.cli.new_machine.asking import ask_here, ask_on_page
-from agent.cli.printing import facts_table, gates_table, results_console
-from agent.files import check_folder
-from agent.planning.setup_proposal.spindle import spindle_name
-from agent.results.gate_forecast import require_forecast
+from agent.cli.invocation import will_run
 from agent.runs.new_machine.fields import SETUP_FIELDS, FieldKind, SetupField
-from agent.runs.new_machine.new_files import NewFiles, refuse_existing
+
+if will_run():
+    from agent.cli.new_machine.asking import ask_here, ask_on_page
+    from agent.cli.printing import facts_table, gates_table, results_console
+    from agent.files import check_folder
+    from agent.planning.setup_proposal.spindle import spindle_name
+    from agent.results.gate_forecast import require_forecast
+    from agent.runs.new_machine.new_files import NewFiles, refuse_existing
 
 
 def _click_type(field: SetupField) -> dict[str, Any]:

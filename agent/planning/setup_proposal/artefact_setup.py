@@ -6,12 +6,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from agent.planning.setup_proposal.choices import CALIBRATIONS, SHAPES
 from agent.planning.setup_proposal.machine_setup import MachineSetup
 from twin.errors import DataError
 
-SHAPES = ("tilted-bar", "straight-bar", "ball-plate", "tetrahedron")
 TILTED_BAR, STRAIGHT_BAR, BALL_PLATE, TETRAHEDRON = SHAPES
-CALIBRATIONS = ("certificate", "length", "none")
 CERTIFICATE, LENGTH, NONE = CALIBRATIONS
 
 SIZES_MM = {

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from agent.planning.setup_proposal.choices import SIGNS
 from twin.collision.probe_frame import VERTICAL, ProbeFrame
 from twin.errors import DataError
 from twin.machine.kinematic_chain import AXES
 
 Vector = tuple[float, float, float]
 
-SIGNS = {"+": 1, "-": -1}
 BESIDE: Vector = (0.0, -1.0, 0.0)
 """Direction of a shaft along the elevation axis, in the artefact frame: the artefact stands beside the azimuth axis."""
 
@@ -29,10 +29,6 @@ def parse_spindle(text: str) -> ProbeFrame:
 def spindle_name(spindle: ProbeFrame) -> str:
     """Return a spindle direction as text, such as -Z."""
     return f"{'+' if spindle.sign > 0 else '-'}{AXES[spindle.axis]}"
-
-
-SPINDLES = tuple(f"{sign}{axis}" for axis in AXES for sign in SIGNS)
-"""All spindle directions as text."""
 
 
 def points_up(spindle: ProbeFrame) -> bool:

@@ -14,10 +14,8 @@ from agent.model_files import load_artefact
 from agent.planning.setup_files.new_setup import ARTEFACT_FILE, NewSetup
 from agent.planning.setup_proposal.artefact_geometry import nominal_length_mm
 from agent.planning.setup_proposal.artefact_setup import (
-    CALIBRATIONS,
     CERTIFICATE,
     LENGTH,
-    SHAPES,
     ArtefactSetup,
     Calibration,
     check_balls,
@@ -26,10 +24,11 @@ from agent.planning.setup_proposal.artefact_setup import (
     propose_size,
     smaller_size,
 )
+from agent.planning.setup_proposal.choices import CALIBRATIONS, SHAPES, SPINDLES
 from agent.planning.setup_proposal.controller_setup import CONTROLLERS, MODBUS, SERIAL, SIMULATED, ControllerSetup
 from agent.planning.setup_proposal.machine_class import MACHINE_CLASSES, MachineClass
 from agent.planning.setup_proposal.machine_setup import Limits, MachineSetup, Triple, check_travel
-from agent.planning.setup_proposal.spindle import SPINDLES, parse_spindle
+from agent.planning.setup_proposal.spindle import parse_spindle
 from agent.planning.setup_proposal.station_setup import PROPOSED, STATED, StationSetup, propose_stations
 from agent.runs.new_machine.questions import SetupQuestions
 from drivers.clock import RealClock

@@ -8,14 +8,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from agent.planning.setup_proposal.artefact_setup import CALIBRATIONS, SHAPES
+from agent.planning.setup_proposal.choices import CALIBRATIONS, MACHINE_CLASS_NAMES, SHAPES, SPINDLES
 from agent.planning.setup_proposal.controller_setup import CONTROLLERS
-from agent.planning.setup_proposal.machine_class import MACHINE_CLASSES
-from agent.planning.setup_proposal.spindle import SPINDLES
-from agent.runs.new_machine.answers import InitOptions
 from drivers.errors import InputError
+
+if TYPE_CHECKING:
+    from agent.runs.new_machine.answers import InitOptions
 
 LONGEST_TEXT = 400
 MACHINE, CONTROLLER, AXES, CHAIN, PROBE, ARTEFACT, MOUNT = STEPS = (
@@ -124,7 +124,7 @@ SETUP_FIELDS = (
         "Class of the machine: typical errors, feeds and chain.",
         MACHINE,
         FieldKind.CHOICE,
-        tuple(MACHINE_CLASSES),
+        MACHINE_CLASS_NAMES,
     ),
     SetupField("--controller", "Controller [default: simulated].", CONTROLLER, FieldKind.CHOICE, CONTROLLERS),
     SetupField("--address", "HOST[:PORT] of Modbus TCP, or the serial port.", CONTROLLER),
@@ -162,6 +162,8 @@ SETUP_FIELDS = (
 
 def read_options(texts: Mapping[str, str]) -> InitOptions:
     """Return the options for the texts of fields by name. Raises InputError for the first text that is no value."""
+    from agent.runs.new_machine.answers import InitOptions  # noqa: PLC0415  slow to import, `volcal init --help` has only the fields
+
     return InitOptions(**{field.name: field.read(texts[field.name]) for field in SETUP_FIELDS if field.name in texts})
 
 

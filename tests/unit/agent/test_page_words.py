@@ -13,7 +13,8 @@ from agent.planning.setup_proposal.axis_check import Finding, Part, ProbeFinding
 from agent.results.gates import GATE_RULES
 from agent.runs.kinds.restoration import TABLE_ROLES
 from agent.runs.new_machine.fields import SETUP_FIELDS, FieldKind, SetupField
-from agent.runs.run_request import KINDS, SOURCES
+from agent.runs.run_kinds import KINDS
+from agent.runs.run_request import SOURCES
 from agent.service.alarms import CODES, DEFECT, AlarmCode
 
 ASSETS = Path(__file__).parents[3] / "agent" / "service" / "page" / "assets"

@@ -13,12 +13,13 @@ import pytest
 from agent.planning.job_preparation import reached_balls
 from agent.planning.setup_files.new_setup import ARTEFACT_FILE, SCENARIO_FILE, SETTINGS_FILE, NewSetup, checked_files
 from agent.planning.setup_proposal.artefact_geometry import nominal_length_mm, reference_pair
-from agent.planning.setup_proposal.artefact_setup import SHAPES, Calibration, check_balls, propose_artefact
+from agent.planning.setup_proposal.artefact_setup import Calibration, check_balls, propose_artefact
+from agent.planning.setup_proposal.choices import SHAPES, SPINDLES
 from agent.planning.setup_proposal.controller_setup import ControllerSetup
 from agent.planning.setup_proposal.error_family import propose_family
 from agent.planning.setup_proposal.machine_class import MACHINE_CLASSES
 from agent.planning.setup_proposal.machine_setup import MachineSetup, Triple
-from agent.planning.setup_proposal.spindle import SPINDLES, holder_direction, parse_spindle, points_up, spindle_name
+from agent.planning.setup_proposal.spindle import holder_direction, parse_spindle, points_up, spindle_name
 from agent.planning.setup_proposal.station_setup import positions_of, propose_mount, propose_stations
 from agent.settings.load import load_settings
 from simulators.scenario import read_scenario
