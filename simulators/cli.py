@@ -9,19 +9,18 @@ import sys
 import threading
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
-import structlog
 
 from drivers.errors import VolcalError
-from simulators.scenario import read_scenario
 from simulators.wire.grbl.dialect import DIALECTS
 from simulators.wire.modbus.numbers import Float64Numbers, RegisterNumberFormat, ScaledInt32Numbers
-from simulators.wire.modbus.rtu import LineSettings
-from simulators.wire.wired_machine import Links, WiredMachine
 
-log = structlog.get_logger()
+if TYPE_CHECKING:
+    from simulators.wire.modbus.rtu import LineSettings
 
+# The simulated machine and the logging library are imported by the functions that use them; the help needs neither.
 
 FASTEST = 1000.0
 BAUDS = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600)
@@ -55,6 +54,8 @@ def _serial_line(_ctx: click.Context, _param: click.Parameter, value: str | None
     """Parse ``PATH`` or ``any``, optionally followed by ``@`` and non-default line parameters, as in
     ``any@9600,8N2``.
     """
+    from simulators.wire.modbus.rtu import LineSettings  # noqa: PLC0415
+
     if value is None:
         return None
     place, _, line = value.partition("@")
@@ -155,6 +156,11 @@ def simulate(
 
     The first and only line on standard output is one JSON object with the addresses on which everything listens.
     """
+    import structlog  # noqa: PLC0415
+
+    from simulators.scenario import read_scenario  # noqa: PLC0415
+    from simulators.wire.wired_machine import Links, WiredMachine  # noqa: PLC0415
+
     if not structlog.is_configured():
         _log_to_stderr()
     links = Links(
@@ -181,7 +187,7 @@ def simulate(
         ending.wait()
     finally:
         machine.close()
-    log.info("simulator stopped", reason=ending.reason)
+    structlog.get_logger().info("simulator stopped", reason=ending.reason)
     raise SystemExit(ending.exit_code)
 
 
@@ -215,13 +221,17 @@ class Shutdown:
         self.ask("standard input closed")
 
     def _broken(self, problem: threading.ExceptHookArgs) -> None:
+        import structlog  # noqa: PLC0415
+
         thread = problem.thread.name if problem.thread is not None else "?"
         exc_info = (problem.exc_type, problem.exc_value, problem.exc_traceback)
-        log.error("simulator failed", thread=thread, exc_info=exc_info)
+        structlog.get_logger().error("simulator failed", thread=thread, exc_info=exc_info)
         self.ask(f"{thread} failed", exit_code=1)
 
 
 def _log_to_stderr() -> None:
+    import structlog  # noqa: PLC0415
+
     structlog.configure(
         processors=[
             structlog.processors.add_log_level,

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from twin.compensation.controllers.all_options import OPTIONS_OF_FORMATS
 from twin.compensation.controllers.export_format import ControllerExport, ExportSource, TableEstimate
 from twin.compensation.controllers.format_options import ExportOptions
 from twin.compensation.controllers.loss import require_same_machine
@@ -99,7 +100,7 @@ def export_table(
 
 
 def _refuse_unknown(options: Mapping[str, object], format_name: str) -> None:
-    declared = [option.key for option in FORMATS[format_name].options]
+    declared = [option.key for option in OPTIONS_OF_FORMATS[format_name]]
     for key in options:
         if key not in declared:
             hint = f"Options of the format: {', '.join(declared) or 'none'}"

@@ -10,11 +10,14 @@ from pathlib import Path
 import click
 
 from agent.cli.errors import VolcalGroup, reported
-from agent.cli.printing import gates_table, results_console
-from agent.planning.job_preparation import prepare_job
-from agent.results.gate_forecast import forecast_gates, require_forecast
-from agent.settings.load import load_settings, naming
-from agent.settings.schema import Settings
+from agent.cli.invocation import will_run
+
+if will_run():
+    from agent.cli.printing import gates_table, results_console
+    from agent.planning.job_preparation import prepare_job
+    from agent.results.gate_forecast import forecast_gates, require_forecast
+    from agent.settings.load import load_settings, naming
+    from agent.settings.schema import Settings
 
 
 @click.group("config", cls=VolcalGroup)

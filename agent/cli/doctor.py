@@ -14,20 +14,24 @@ from functools import partial
 from pathlib import Path
 
 import click
-from rich.table import Table
 
 from agent.cli.errors import reported
+from agent.cli.invocation import will_run
 from agent.cli.options import config_option
-from agent.cli.printing import columns_table, results_console
-from agent.execution.device_assembly import assemble, closing_clock, make_clock
-from agent.execution.rig import Rig
-from agent.planning.controller_comparison import compare_with_controller
-from agent.planning.job import Job
-from agent.planning.job_preparation import prepare_job
-from agent.results.gate_forecast import GateForecast, forecast_gates, require_forecast
-from agent.settings.load import load_settings, naming
-from drivers.errors import DeviceError, VolcalError
-from drivers.roles import Device, DiagnosticFinding
+
+if will_run():
+    from rich.table import Table
+
+    from agent.cli.printing import columns_table, results_console
+    from agent.execution.device_assembly import assemble, closing_clock, make_clock
+    from agent.execution.rig import Rig
+    from agent.planning.controller_comparison import compare_with_controller
+    from agent.planning.job import Job
+    from agent.planning.job_preparation import prepare_job
+    from agent.results.gate_forecast import GateForecast, forecast_gates, require_forecast
+    from agent.settings.load import load_settings, naming
+    from drivers.errors import DeviceError, VolcalError
+    from drivers.roles import Device, DiagnosticFinding
 
 GATES = "gates of a run"
 """Name under which the findings on the gates are listed; the blanks keep it apart from the name of any device."""

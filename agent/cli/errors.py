@@ -16,13 +16,14 @@ Exit codes of `volcal`:
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar
 
 import click
 
+from agent.cli.invocation import program_arguments
 from agent.errors import Aborted
 from drivers.errors import VolcalError
 
@@ -62,6 +63,9 @@ class VolcalGroup(click.Group):
 
     If the name of a command is mistyped, the group suggests the most similar name.
     """
+
+    def main(self, args: Sequence[str] | None = None, *rest: Any, **named: Any) -> Any:
+        return super().main(program_arguments(sys.argv[1:]) if args is None else args, *rest, **named)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

@@ -11,21 +11,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from rich.table import Table
 
 from agent.cli.errors import VolcalGroup, fail, reported
+from agent.cli.invocation import will_run
 from agent.cli.options import PATH, config_option
-from agent.cli.printing import columns_table, results_console
-from agent.errors import MeasurementFault
-from agent.files import write_all_atomically, write_atomically
-from agent.history.database_url import database_address
-from agent.history.export import as_csv, as_json, run_document
-from agent.history.schema import StoredRun
-from agent.history.store import HistoryStore
-from agent.history.sync import sync, sync_ends
-from agent.settings.load import naming, read_settings
-from agent.settings.schema import Settings
-from drivers.errors import InputError
+
+if will_run():
+    from rich.table import Table
+
+    from agent.cli.printing import columns_table, results_console
+    from agent.errors import MeasurementFault
+    from agent.files import write_all_atomically, write_atomically
+    from agent.history.database_url import database_address
+    from agent.history.export import as_csv, as_json, run_document
+    from agent.history.schema import StoredRun
+    from agent.history.store import HistoryStore
+    from agent.history.sync import sync, sync_ends
+    from agent.settings.load import naming, read_settings
+    from agent.settings.schema import Settings
+    from drivers.errors import InputError
 
 if TYPE_CHECKING:
     from agent.history.trends import Trend

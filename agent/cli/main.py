@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import click
 
 from agent.cli.errors import VolcalGroup
+from agent.cli.invocation import will_run
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoints
@@ -174,7 +175,7 @@ class LazyGroup(VolcalGroup):
 def main(ctx: click.Context, verbose: bool) -> None:
     """On-machine volumetric calibration of machine tools with a ball artefact."""
     own = OWN_COMMANDS.get(ctx.invoked_subcommand or "")
-    if own is None or own.logs:
+    if will_run() and (own is None or own.logs):
         configure_logging(logging.DEBUG if verbose else logging.WARNING)
 
 

@@ -12,13 +12,17 @@ from pathlib import Path
 import click
 
 from agent.cli.errors import reported
+from agent.cli.invocation import will_run
 from agent.cli.options import config_option
-from agent.cli.step_lists import steps_option, write_run_steps
-from agent.execution.run_record import run_ids
-from agent.files import write_all_atomically
-from agent.reports.render_from_journal import render_from_journal
-from agent.settings.load import naming, read_settings
-from drivers.errors import InputError
+from agent.cli.step_lists import steps_option
+
+if will_run():
+    from agent.cli.step_lists import write_run_steps
+    from agent.execution.run_record import run_ids
+    from agent.files import write_all_atomically
+    from agent.reports.render_from_journal import render_from_journal
+    from agent.settings.load import naming, read_settings
+    from drivers.errors import InputError
 
 LAST = "last"
 

@@ -9,10 +9,13 @@ from pathlib import Path
 
 import click
 
-from agent.execution.journal_reader import open_journal
-from agent.files import write_all_atomically
-from agent.planning.branch_walk import Branch
-from twin.units import S_PER_MIN
+from agent.cli.invocation import will_run
+
+if will_run():
+    from agent.execution.journal_reader import open_journal
+    from agent.files import write_all_atomically
+    from agent.planning.branch_walk import Branch
+    from twin.units import S_PER_MIN
 
 BRANCH_COLUMNS = ("branch", "key", "minutes")
 RUN_COLUMNS = ("key", "minutes")

@@ -11,24 +11,28 @@ from dataclasses import asdict
 from pathlib import Path
 
 import click
-from rich.table import Table
 
 from agent.cli.errors import reported
-from agent.cli.printing import results_console
-from agent.execution.run_record import RunSteps, read_steps
-from agent.model_files import load_machine
-from agent.planning.latency_fit import (
-    ObservedStep,
-    StepKindTiming,
-    observed_steps,
-    refit,
-    step_kind_timings,
-    suggested_settings,
-)
-from agent.planning.time_model import TimeModel, time_model
-from agent.settings.load import stored_settings
-from drivers.errors import InputError
-from twin.units import S_PER_MIN
+from agent.cli.invocation import will_run
+
+if will_run():
+    from rich.table import Table
+
+    from agent.cli.printing import results_console
+    from agent.execution.run_record import RunSteps, read_steps
+    from agent.model_files import load_machine
+    from agent.planning.latency_fit import (
+        ObservedStep,
+        StepKindTiming,
+        observed_steps,
+        refit,
+        step_kind_timings,
+        suggested_settings,
+    )
+    from agent.planning.time_model import TimeModel, time_model
+    from agent.settings.load import stored_settings
+    from drivers.errors import InputError
+    from twin.units import S_PER_MIN
 
 
 @click.command("timing")

@@ -103,8 +103,7 @@ class JournalReader:
         return self._first(RunRow, queries.RUN + "ORDER BY run DESC LIMIT 1")
 
     def last_working_run(self) -> RunRow | None:
-        """Return the row of the last run that recorded a step or passed its preflight; None if there is none.
-        """
+        """Return the row of the last run that recorded a step or passed its preflight; None if there is none."""
         return self._first(RunRow, queries.LAST_WORKING_RUN)
 
     def run_counts(self, limit: int, before_run: int = ANY_RUN) -> tuple[RunCounts, ...]:

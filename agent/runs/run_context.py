@@ -45,11 +45,11 @@ class RunHooks:
 
     `announce` receives states, progress and notes. `attach` receives the supervisor of the run, through which signals
     and endpoints hold or abort the run. `observe` receives every step and its result. `preflight_passed` receives the
-    job that will be measured and the result of its preflight; it may raise an error to refuse the
-    run. `lock` prevents other processes from using the machine. `devices` creates the clock and the rig. `reports` renders the report of the run. If `write_files` is True, the results are also written to
-    files; they are in the journal in any case. `answers` receives the tracker of the run's state and returns actions
-    that replace those of the run, by type of step. Campaigns use it to choose the way of a run, and to carry out the
-    motions of a run without its computations.
+    job that will be measured and the result of its preflight; it may raise an error to refuse the run. `lock` prevents
+    other processes from using the machine. `devices` creates the clock and the rig. `reports` renders the report of the
+    run. If `write_files` is True, the results are also written to files; they are in the journal in any case. `answers`
+    receives the tracker of the run's state and returns actions that replace those of the run, by type of step.
+    Campaigns use it to choose the way of a run, and to carry out the motions of a run without its computations.
     """
 
     announce: Listener = _ignore_announcement

@@ -8,11 +8,9 @@ from typing import Literal, get_args
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt
 
 from agent.files import translated
+from agent.runs.run_kinds import KindName
 from drivers.errors import InputError, UserError
 from twin.formats.toml_reading import validate_document
-
-KindName = Literal["calibrate", "verify", "nightly"]
-KINDS: tuple[KindName, ...] = get_args(KindName)
 
 Source = Literal["timer", "page", "panel", "opc ua", "command line"]
 """Source of a request; journaled with the run."""

@@ -7,10 +7,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from agent.runs.guarded_run import GuardedRun
+
 from agent.execution.states import RunState
 from agent.planning.job import Job
 from agent.planning.preflight import PreflightResult, run_preflight, whole_procedure
-from agent.runs.guarded_run import GuardedRun
 from agent.runs.planned_run import PlannedRun, StartConditions
 from drivers.clock import VirtualClock
 

@@ -17,7 +17,8 @@ from service_house import PATIENCE_S, house
 
 from agent.errors import Aborted, Busy, PlanRefused
 from agent.execution.states import FINAL, FORWARD, PACKML, RunState, may_follow
-from agent.runs.run_request import KINDS, SOURCES, RunRequest
+from agent.runs.run_kinds import KINDS
+from agent.runs.run_request import SOURCES, RunRequest
 from agent.service.allowed_requests import ALLOWED, AT_REST, STICKY
 from drivers.errors import LinkLost, PermissionMissing, UserError
 

@@ -10,29 +10,33 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.console import Console
-from rich.table import Table
 
 from agent.cli.errors import reported
+from agent.cli.invocation import will_run
 from agent.cli.options import PATH, case_options
-from agent.cli.printing import columns_table, facts_table, results_console
-from agent.figures.heading import subject
-from agent.files import translated
-from agent.planning.case_file import load_case
-from agent.planning.cycle_time import machine_minutes
-from agent.planning.design.comparison import VariantDesign, compare_variants
-from agent.planning.design.design_files import check_target, write_design
-from agent.planning.design.design_result import DesignResult
-from agent.planning.design.pareto_figure import ReferenceSet
-from agent.planning.design.set_valuation import valuation_of
-from agent.planning.design.variants import variants_of
-from agent.planning.job import Job
-from agent.runs.kinds.calibrate import preflight_of
-from agent.settings.load import naming
-from drivers.clock import wall_seconds
-from drivers.errors import InputError, UserError
-from twin.artefact.position_set import Position
-from twin.design.goals import Goal, PositionCountGoal, TargetErrorGoal, TimeSlotGoal
+
+if will_run():
+    from rich.console import Console
+    from rich.table import Table
+
+    from agent.cli.printing import columns_table, facts_table, results_console
+    from agent.figures.heading import subject
+    from agent.files import translated
+    from agent.planning.case_file import load_case
+    from agent.planning.cycle_time import machine_minutes
+    from agent.planning.design.comparison import VariantDesign, compare_variants
+    from agent.planning.design.design_files import check_target, write_design
+    from agent.planning.design.design_result import DesignResult
+    from agent.planning.design.pareto_figure import ReferenceSet
+    from agent.planning.design.set_valuation import valuation_of
+    from agent.planning.design.variants import variants_of
+    from agent.planning.job import Job
+    from agent.runs.kinds.calibrate import preflight_of
+    from agent.settings.load import naming
+    from drivers.clock import wall_seconds
+    from drivers.errors import InputError, UserError
+    from twin.artefact.position_set import Position
+    from twin.design.goals import Goal, PositionCountGoal, TargetErrorGoal, TimeSlotGoal
 
 _SLOT = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(min|h)?\s*")
 _MIN_PER = {None: 1.0, "min": 1.0, "h": 60.0}

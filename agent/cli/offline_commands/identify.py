@@ -11,27 +11,31 @@ from pathlib import Path
 from typing import Literal
 
 import click
-from pydantic import ValidationError
-from rich.table import Table
 
 from agent.cli.errors import reported
+from agent.cli.invocation import will_run
 from agent.cli.options import PATH, no_settings_file, optional_case_options
-from agent.cli.printing import results_console, travel_rows
-from agent.figures.heading import subject
-from agent.results.estimation import order_text
-from agent.results.gates import reasons
-from agent.runs.offline_identification import (
-    DEFAULT_GATES,
-    DEFAULT_MIN_GAIN,
-    DEFAULT_TABLE,
-    IdentificationRequest,
-    IdentificationResult,
-    identify_files,
-)
-from agent.settings.load import read_settings
-from agent.settings.schema import IdentificationSettings, Order
-from drivers.clock import utc_timestamp, wall_seconds
-from twin.identification import Options
+
+if will_run():
+    from pydantic import ValidationError
+    from rich.table import Table
+
+    from agent.cli.printing import results_console, travel_rows
+    from agent.figures.heading import subject
+    from agent.results.estimation import order_text
+    from agent.results.gates import reasons
+    from agent.runs.offline_identification import (
+        DEFAULT_GATES,
+        DEFAULT_MIN_GAIN,
+        DEFAULT_TABLE,
+        IdentificationRequest,
+        IdentificationResult,
+        identify_files,
+    )
+    from agent.settings.load import read_settings
+    from agent.settings.schema import IdentificationSettings, Order
+    from drivers.clock import utc_timestamp, wall_seconds
+    from twin.identification import Options
 
 
 def _order(_context: click.Context, _option: click.Parameter, text: str | None) -> Order | None:

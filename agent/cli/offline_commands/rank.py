@@ -13,21 +13,25 @@ from pathlib import Path
 from typing import Literal
 
 import click
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from agent.cli.errors import reported
+from agent.cli.invocation import will_run
 from agent.cli.options import PATH, case_options
-from agent.cli.printing import results_console
-from agent.figures.heading import subject
-from agent.planning.identifiability import RankRequest, RankResult, rank
-from agent.reports.page.number_format import number, plural, point
-from twin.design.certificate_value import ROUGH_MM, CertificateValue
-from twin.design.identifiability import Identifiability
-from twin.design.setup_advice import describe_gain, describe_trial
-from twin.design.setup_trials import TrialGain
-from twin.units import UM_PER_MM
+
+if will_run():
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    from agent.cli.printing import results_console
+    from agent.figures.heading import subject
+    from agent.planning.identifiability import RankRequest, RankResult, rank
+    from agent.reports.page.number_format import number, plural, point
+    from twin.design.certificate_value import ROUGH_MM, CertificateValue
+    from twin.design.identifiability import Identifiability
+    from twin.design.setup_advice import describe_gain, describe_trial
+    from twin.design.setup_trials import TrialGain
+    from twin.units import UM_PER_MM
 
 MILLIONTHS = 1e3, 1e6
 """Factors that convert to millionths, that is to µm per mm and µrad per rad."""

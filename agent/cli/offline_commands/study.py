@@ -14,27 +14,31 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import click
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from agent.cli.errors import reported
+from agent.cli.invocation import will_run
 from agent.cli.options import PATH, case_options
-from agent.cli.printing import facts_table, results_console
-from agent.figures.heading import subject
-from agent.files import check_folder, translated
-from agent.planning.case_file import load_case
-from agent.runs.kinds.calibrate import preflight_of
-from agent.settings.load import naming
-from agent.settings.schema import IdentificationSettings
 from agent.studies import STUDIES
-from agent.studies.identification_variants import PUBLISHED, PUBLISHED_STUDIES
-from agent.studies.study import Progress as StudyProgress
-from agent.studies.study import StudyCase, StudyResult, run_study
-from agent.studies.study_files import as_plain, document, write_result
-from agent.studies.workers import LocalWorkers, Workers
-from drivers.clock import wall_seconds
-from drivers.errors import ConfigurationError
-from twin.identification import Options
+
+if will_run():
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+    from agent.cli.printing import facts_table, results_console
+    from agent.figures.heading import subject
+    from agent.files import check_folder, translated
+    from agent.planning.case_file import load_case
+    from agent.runs.kinds.calibrate import preflight_of
+    from agent.settings.load import naming
+    from agent.settings.schema import IdentificationSettings
+    from agent.studies.identification_variants import PUBLISHED, PUBLISHED_STUDIES
+    from agent.studies.study import Progress as StudyProgress
+    from agent.studies.study import StudyCase, StudyResult, run_study
+    from agent.studies.study_files import as_plain, document, write_result
+    from agent.studies.workers import LocalWorkers, Workers
+    from drivers.clock import wall_seconds
+    from drivers.errors import ConfigurationError
+    from twin.identification import Options
 
 if TYPE_CHECKING:
     from agent.studies.cluster import DaskWorkers

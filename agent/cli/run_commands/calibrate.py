@@ -8,13 +8,16 @@ from pathlib import Path
 import click
 
 from agent.cli.errors import reported
+from agent.cli.invocation import will_run
 from agent.cli.options import config_option, procedure_options
-from agent.cli.run_commands.local_run import calibration_here, conclude, run_here
-from agent.cli.run_commands.run_summary import show_summary
-from agent.cli.run_commands.simulated_calibration import calibrate_simulated
-from agent.settings.load import load_settings, naming, with_overrides
-from agent.settings.schema import Settings
-from drivers.errors import InputError
+
+if will_run():
+    from agent.cli.run_commands.local_run import calibration_here, conclude, run_here
+    from agent.cli.run_commands.run_summary import show_summary
+    from agent.cli.run_commands.simulated_calibration import calibrate_simulated
+    from agent.settings.load import load_settings, naming, with_overrides
+    from agent.settings.schema import Settings
+    from drivers.errors import InputError
 
 SCENARIO_FILE = "simulator.toml"
 """Name of the scenario beside the settings, as `volcal init` writes it."""

@@ -10,16 +10,20 @@ from pathlib import Path
 import click
 
 from agent.cli.errors import reported
-from agent.cli.run_commands.simulated_calibration import ANY_SOCKETCAND, calibrate_simulated
-from agent.planning.case_file import CASE_STUDY, shipped_case
-from agent.settings.load import load_settings, with_overrides
+from agent.cli.invocation import will_run
+from agent.cli.run_commands.simulator_process import ANY_SOCKETCAND
+
+if will_run():
+    from agent.cli.run_commands.simulated_calibration import calibrate_simulated
+    from agent.planning.case_file import shipped_case
+    from agent.settings.load import load_settings, with_overrides
 
 
 @click.command("demo")
 @click.option(
     "--case",
     "case_name",
-    default=CASE_STUDY.stem,
+    default="case-study",
     show_default=True,
     metavar="NAME",
     help="Shipped machine: its settings and its scenario.",

@@ -6,16 +6,20 @@ import json
 from pathlib import Path
 
 import click
-from rich.table import Table
 
+from agent.cli.invocation import will_run
 from agent.cli.options import config_option
-from agent.cli.printing import facts_table, results_console
-from agent.cli.run_commands.local_run import run_here
-from agent.cli.run_commands.run_summary import show_summary
-from agent.results.run_outcome import NightReport, Outcome
-from agent.runs.run_request import RunRequest
-from agent.runs.session import RunResult
-from agent.settings.load import load_settings, naming
+
+if will_run():
+    from rich.table import Table
+
+    from agent.cli.printing import facts_table, results_console
+    from agent.cli.run_commands.local_run import run_here
+    from agent.cli.run_commands.run_summary import show_summary
+    from agent.results.run_outcome import NightReport, Outcome
+    from agent.runs.run_request import RunRequest
+    from agent.runs.session import RunResult
+    from agent.settings.load import load_settings, naming
 
 
 def night_options(command: click.decorators.FC) -> click.decorators.FC:

@@ -12,12 +12,15 @@ from pathlib import Path
 import click
 
 from agent.cli.errors import fail, reported
+from agent.cli.invocation import will_run
 from agent.cli.options import Duration
-from agent.cli.run_commands.local_run import conclude
 from agent.cli.run_commands.night_options import night_options, run_night
-from agent.errors import MeasurementFault
-from agent.results.run_outcome import Decision
-from agent.runs.run_request import run_request
+
+if will_run():
+    from agent.cli.run_commands.local_run import conclude
+    from agent.errors import MeasurementFault
+    from agent.results.run_outcome import Decision
+    from agent.runs.run_request import run_request
 
 
 @click.command("verify")

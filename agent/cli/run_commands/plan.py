@@ -12,26 +12,31 @@ from functools import partial
 from pathlib import Path
 
 import click
-from rich.table import Table
 
 from agent.cli.errors import reported
+from agent.cli.invocation import will_run
 from agent.cli.options import case_options, procedure_options
-from agent.cli.printing import columns_table, facts_table, gates_table, results_console
-from agent.cli.step_lists import steps_option, write_branch_steps
-from agent.errors import PlanRefused
-from agent.files import check_folder
-from agent.planning.cycle_time import PARTS, expected_plan, minutes_by_part, walk_plan, without_optimisation
-from agent.planning.design.set_valuation import valuation_of
-from agent.planning.job import Job
-from agent.planning.job_preparation import prepare_job
-from agent.planning.preflight import PreflightResult
-from agent.probing.run_plan import position_key
-from agent.results.gate_forecast import GateForecast, forecast_gates, require_forecast
-from agent.results.predicted_accuracy import PredictedAccuracy, predict_accuracy
-from agent.runs.kinds.calibrate import calibration_of, preflight_of
-from agent.settings.load import load_settings, naming, with_overrides
-from twin.design.valuation import Valuation
-from twin.units import S_PER_MIN
+from agent.cli.step_lists import steps_option
+
+if will_run():
+    from rich.table import Table
+
+    from agent.cli.printing import columns_table, facts_table, gates_table, results_console
+    from agent.cli.step_lists import write_branch_steps
+    from agent.errors import PlanRefused
+    from agent.files import check_folder
+    from agent.planning.cycle_time import PARTS, expected_plan, minutes_by_part, walk_plan, without_optimisation
+    from agent.planning.design.set_valuation import valuation_of
+    from agent.planning.job import Job
+    from agent.planning.job_preparation import prepare_job
+    from agent.planning.preflight import PreflightResult
+    from agent.probing.run_plan import position_key
+    from agent.results.gate_forecast import GateForecast, forecast_gates, require_forecast
+    from agent.results.predicted_accuracy import PredictedAccuracy, predict_accuracy
+    from agent.runs.kinds.calibrate import calibration_of, preflight_of
+    from agent.settings.load import load_settings, naming, with_overrides
+    from twin.design.valuation import Valuation
+    from twin.units import S_PER_MIN
 
 
 @click.command("plan")

@@ -8,29 +8,33 @@ import json
 from pathlib import Path
 
 import click
-from rich.console import Console
 
 from agent.cli.errors import fail, reported
+from agent.cli.invocation import will_run
 from agent.cli.options import config_option
-from agent.cli.printing import results_console
-from agent.cli.run_commands.local_run import conclude, interruptible
-from agent.cli.run_commands.night_options import night_table
-from agent.cli.run_commands.progress import watching
-from agent.cli.run_commands.run_summary import show_summary
-from agent.cli.run_commands.trial import show_trial
-from agent.cli.service_commands.requests import resumed_by_service
-from agent.errors import MeasurementFault
-from agent.execution.device_assembly import assemble, closing_clock, make_clock
-from agent.execution.run_lock import run_lock
-from agent.results.run_outcome import Decision
-from agent.runs.reconcile_result import ReconcileAction
-from agent.runs.resume.abandon import abandon as abandon_run
-from agent.runs.resume.resume import resume
-from agent.runs.run_context import RunHooks
-from agent.runs.session import RunResult
-from agent.settings.load import load_settings
-from agent.settings.schema import Settings
-from drivers.errors import StoreError
+
+if will_run():
+    from rich.console import Console
+
+    from agent.cli.printing import results_console
+    from agent.cli.run_commands.local_run import conclude, interruptible
+    from agent.cli.run_commands.night_options import night_table
+    from agent.cli.run_commands.progress import watching
+    from agent.cli.run_commands.run_summary import show_summary
+    from agent.cli.run_commands.trial import show_trial
+    from agent.cli.service_commands.requests import resumed_by_service
+    from agent.errors import MeasurementFault
+    from agent.execution.device_assembly import assemble, closing_clock, make_clock
+    from agent.execution.run_lock import run_lock
+    from agent.results.run_outcome import Decision
+    from agent.runs.reconcile_result import ReconcileAction
+    from agent.runs.resume.abandon import abandon as abandon_run
+    from agent.runs.resume.resume import resume
+    from agent.runs.run_context import RunHooks
+    from agent.runs.session import RunResult
+    from agent.settings.load import load_settings
+    from agent.settings.schema import Settings
+    from drivers.errors import StoreError
 
 
 @click.command("resume")

@@ -13,7 +13,7 @@ import click
 from agent.cli.printing import columns_table, results_console
 from agent.cli.run_commands.local_run import calibration_here, conclude, run_here
 from agent.cli.run_commands.run_summary import show_summary
-from agent.cli.run_commands.simulator_process import SimulatorProcess
+from agent.cli.run_commands.simulator_process import ANY_SOCKETCAND, SimulatorProcess
 from agent.figures.heading import subject
 from agent.files import translated
 from agent.model_files import load_machine
@@ -23,10 +23,6 @@ from agent.settings.load import naming
 from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError, LinkError
 from twin.formats.toml_reading import validate_document
-
-ANY_SOCKETCAND = "socketcand:127.0.0.1:0"
-"""CAN of a simulator over TCP, on any free port."""
-
 
 SIMULATED_DRIVE = {
     "encoder_counts_per_revolution": 131072,

@@ -18,6 +18,8 @@ from typing import Any, Self, TextIO
 
 from drivers.errors import ConfigurationError, LinkLost, ProtocolError
 
+ANY_SOCKETCAND = "socketcand:127.0.0.1:0"
+"""CAN of a simulator over TCP, on any free port."""
 READY_WITHIN_S = 30.0
 END_WITHIN_S = 5.0
 

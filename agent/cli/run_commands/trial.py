@@ -6,17 +6,21 @@ import json
 from pathlib import Path
 
 import click
-from rich.table import Table
 
 from agent.cli.errors import fail, reported
+from agent.cli.invocation import will_run
 from agent.cli.options import config_option, procedure_options
-from agent.cli.printing import facts_table, results_console
-from agent.cli.run_commands.local_run import carry_out_here
-from agent.planning.job_preparation import prepare_job
-from agent.results.run_outcome import Outcome
-from agent.results.trial_report import TrialReport
-from agent.runs.kinds.trial import OneBallTrial, with_checks
-from agent.settings.load import load_settings, naming, with_overrides
+
+if will_run():
+    from rich.table import Table
+
+    from agent.cli.printing import facts_table, results_console
+    from agent.cli.run_commands.local_run import carry_out_here
+    from agent.planning.job_preparation import prepare_job
+    from agent.results.run_outcome import Outcome
+    from agent.results.trial_report import TrialReport
+    from agent.runs.kinds.trial import OneBallTrial, with_checks
+    from agent.settings.load import load_settings, naming, with_overrides
 
 
 @click.command("try")

@@ -10,10 +10,13 @@ from pathlib import Path
 import click
 
 from agent.cli.errors import reported
+from agent.cli.invocation import will_run
 from agent.cli.options import config_option
-from agent.service.client import Client, NoService
-from agent.settings.load import read_settings
-from agent.settings.schema import Settings
+
+if will_run():
+    from agent.service.client import Client, NoService
+    from agent.settings.load import read_settings
+    from agent.settings.schema import Settings
 
 
 @click.command("hold")

@@ -10,9 +10,12 @@ from pathlib import Path
 import click
 
 from agent.cli.errors import reported
+from agent.cli.invocation import will_run
 from agent.cli.options import config_option
-from agent.service.daemon.logs import log_as_json
-from agent.service.daemon.serve import serve
+
+if will_run():
+    from agent.service.daemon.logs import log_as_json
+    from agent.service.daemon.serve import serve
 
 
 @click.command("serve")

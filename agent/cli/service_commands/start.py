@@ -10,19 +10,23 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.console import Console
 
 from agent.cli.errors import fail, reported
+from agent.cli.invocation import will_run
 from agent.cli.options import Duration, config_option, measured_options
-from agent.errors import Busy, GateRefused, RunError
-from agent.execution.states import RunState
-from agent.runs.run_request import KINDS
-from agent.service.alarms import CODES
-from agent.service.allowed_requests import AT_REST
-from agent.service.client import Client
-from agent.settings.load import read_settings
-from drivers.clock import Clock, Deadline, RealClock
-from drivers.errors import LinkError, PermissionMissing, VolcalError
+from agent.runs.run_kinds import KINDS
+
+if will_run():
+    from rich.console import Console
+
+    from agent.errors import Busy, GateRefused, RunError
+    from agent.execution.states import RunState
+    from agent.service.alarms import CODES
+    from agent.service.allowed_requests import AT_REST
+    from agent.service.client import Client
+    from agent.settings.load import read_settings
+    from drivers.clock import Clock, Deadline, RealClock
+    from drivers.errors import LinkError, PermissionMissing, VolcalError
 
 DECLINED = 6
 """Exit code if the service declines to start a run at this time. Nothing has moved, and a timer may try again later."""

@@ -12,10 +12,13 @@ from typing import Any
 import click
 
 from agent.cli.errors import reported
+from agent.cli.invocation import will_run
 from agent.cli.options import config_option
-from agent.cli.printing import facts_table, results_console
-from agent.service.client import Client
-from agent.settings.load import read_settings
+
+if will_run():
+    from agent.cli.printing import facts_table, results_console
+    from agent.service.client import Client
+    from agent.settings.load import read_settings
 
 
 @click.command("status")

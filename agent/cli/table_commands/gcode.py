@@ -13,14 +13,17 @@ from typing import Any, Literal
 import click
 
 from agent.cli.errors import VolcalGroup, reported
+from agent.cli.invocation import will_run
 from agent.cli.options import PATH, optional_case_options
-from agent.cli.printing import table_subject
-from agent.results.gates import require_machine, require_unmarked
-from agent.results.part_programs import correct_file, correct_to, load_part_setup, load_table
-from drivers.clock import wall_seconds
-from gcode.correction_summary import CorrectionSummary
-from gcode.setup import SYSTEMS, CorrectionOptions, PartSetup, Triple
-from twin.compensation.table import CompensationTable
+
+if will_run():
+    from agent.cli.printing import table_subject
+    from agent.results.gates import require_machine, require_unmarked
+    from agent.results.part_programs import correct_file, correct_to, load_part_setup, load_table
+    from drivers.clock import wall_seconds
+    from gcode.correction_summary import CorrectionSummary
+    from gcode.setup import SYSTEMS, CorrectionOptions, PartSetup, Triple
+    from twin.compensation.table import CompensationTable
 
 _LENGTH = re.compile(r"(\d+\.?\d*|\.\d+)\s*(um|µm|μm|mm)$")
 _PARAMETER = re.compile(r"#?<?(\w[^=<>]*?)>?\s*=\s*([-+]?(?:\d+\.?\d*|\.\d+))$")

@@ -9,21 +9,28 @@ import json
 from pathlib import Path
 
 import click
-import numpy as np
 
 from agent.cli.errors import VolcalGroup, reported
+from agent.cli.invocation import will_run
 from agent.cli.options import case_options, config_option
-from agent.cli.printing import columns_table, results_console
-from agent.cli.service_commands.start import conclude, waited_for
-from agent.cli.table_commands.store_connection import connected
 from agent.cli.table_commands.table_export import export
-from agent.execution.encoding import table_digest
-from agent.figures.heading import subject
-from agent.runs.kinds.restoration import TABLE_ROLES
-from agent.service.client import Client
-from agent.settings.load import load_settings
-from drivers.clock import RealClock
-from drivers.roles import TableImage
+
+if will_run():
+    import numpy as np
+
+    from agent.cli.printing import columns_table, results_console
+    from agent.cli.service_commands.start import conclude, waited_for
+    from agent.cli.table_commands.store_connection import connected
+    from agent.execution.encoding import table_digest
+    from agent.figures.heading import subject
+    from agent.service.client import Client
+    from agent.settings.load import load_settings
+    from drivers.clock import RealClock
+    from drivers.roles import TableImage
+
+
+ROLES = ("backup", "staged", "restored")
+"""Roles under which runs store tables: `agent.runs.kinds.restoration.TABLE_ROLES`, which is slow to import."""
 
 
 @click.group("table", cls=VolcalGroup)
@@ -65,7 +72,7 @@ table_group.add_command(export)
 @click.argument("run", metavar="RUN")
 @click.option(
     "--role",
-    type=click.Choice(TABLE_ROLES),
+    type=click.Choice(ROLES),
     default="backup",
     show_default=True,
     help="Role under which the run stored the table.",

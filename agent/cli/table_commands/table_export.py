@@ -14,23 +14,11 @@ from typing import Any
 
 import click
 from click.decorators import FC
-from rich.table import Table
 
 from agent.cli.errors import reported
+from agent.cli.invocation import will_run
 from agent.cli.options import PATH, no_settings_file, optional_case_options
-from agent.cli.printing import results_console, table_subject
-from agent.cli.table_commands.store_connection import connected
-from agent.files import write_all_atomically
-from agent.results.controller_export import (
-    TableExportRequest,
-    TableExportResult,
-    TableToExport,
-    export_table,
-    load_table_to_export,
-)
-from agent.results.gates import require_machine, require_unmarked
-from agent.results.table_image import table_of
-from drivers.errors import InputError
+from twin.compensation.controllers.all_options import OPTIONS_OF_FORMATS, all_options, formats_with
 from twin.compensation.controllers.format_options import (
     ExportOptions,
     FormatOption,
@@ -40,9 +28,25 @@ from twin.compensation.controllers.format_options import (
     Text,
     WholeNumber,
 )
-from twin.compensation.controllers.registry import FORMATS, all_options, formats_with
-from twin.compensation.table import CompensationTable
-from twin.compensation.table_file import format_side_file, format_table
+
+if will_run():
+    from rich.table import Table
+
+    from agent.cli.printing import results_console, table_subject
+    from agent.cli.table_commands.store_connection import connected
+    from agent.files import write_all_atomically
+    from agent.results.controller_export import (
+        TableExportRequest,
+        TableExportResult,
+        TableToExport,
+        export_table,
+        load_table_to_export,
+    )
+    from agent.results.gates import require_machine, require_unmarked
+    from agent.results.table_image import table_of
+    from drivers.errors import InputError
+    from twin.compensation.table import CompensationTable
+    from twin.compensation.table_file import format_side_file, format_table
 
 
 def _points(_: click.Context, __: click.Parameter, text: str | None) -> tuple[int, int, int] | None:
@@ -98,7 +102,7 @@ def options_of_formats(command: FC) -> FC:
 @click.option("--bank", type=int, help="Bank of the controller [default: the active one].")
 @click.option("--table", "table_path", type=PATH, help="Instead of a bank: folder of a run, or CSV file of a table.")
 @click.option("--estimate", type=PATH, help="Estimate of the table [default: estimate.json beside it].")
-@click.option("--format", "format_name", type=click.Choice(list(FORMATS)), help="Format of the controller.")
+@click.option("--format", "format_name", type=click.Choice(list(OPTIONS_OF_FORMATS)), help="Format of the controller.")
 @click.option("--out", type=PATH, required=True, help="Folder to write; without --format the CSV file to write.")
 @click.option(
     "--points", metavar="NXxNYxNZ", callback=_points, help="Evenly spaced points instead of those of the table."

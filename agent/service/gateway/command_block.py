@@ -8,7 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, TypeVar
 
-from agent.runs.run_request import KINDS, RunRequest, run_request
+from agent.runs.run_kinds import KINDS
+from agent.runs.run_request import RunRequest, run_request
 from agent.service.gateway.register_codec import plain_text, whole_number
 from agent.service.gateway.registers import COMMAND, IN_COMMAND, Command, Form
 from drivers.errors import InputError

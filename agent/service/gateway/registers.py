@@ -11,7 +11,7 @@ from enum import Enum, IntEnum
 from typing import Final
 
 from agent.execution.states import RunState
-from agent.runs.run_request import KINDS
+from agent.runs.run_kinds import KINDS
 
 MAP_VERSION: Final = 1
 

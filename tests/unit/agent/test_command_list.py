@@ -1,4 +1,5 @@
-"""The list of commands imports no command, and commands to the service load neither mathematics nor drivers."""
+"""The list of commands imports no command, the help of a command nothing that only its run needs, and commands to the
+service load neither mathematics nor drivers."""
 
 from __future__ import annotations
 
@@ -11,14 +12,22 @@ from pathlib import Path
 
 import click
 import pytest
+from agent.planning.setup_proposal.choices import MACHINE_CLASS_NAMES
+from agent.planning.setup_proposal.machine_class import MACHINE_CLASSES
 from click.testing import CliRunner
 from journaled import SETTINGS, journaled
 
+from agent.cli import invocation
 from agent.cli import main as program
 from agent.cli.main import LONGEST_HELP, OWN_COMMANDS, main
+from agent.cli.table_commands.table import ROLES
+from agent.runs.kinds.restoration import TABLE_ROLES
+from twin.compensation.controllers.all_options import OPTIONS_OF_FORMATS
+from twin.compensation.controllers.registry import FORMATS
 
 SLOW = ("scipy", "matplotlib", "sqlalchemy", "fastapi", "pymodbus", "canopen")
 NOT_FOR_A_LIST = (*SLOW, "numpy", "pydantic", "structlog", "asyncio", "rich", "simulators.cli")
+NOT_FOR_A_HELP_TEXT = (*SLOW, "numpy", "pydantic", "structlog", "asyncio", "rich", "jinja2")
 NOT_FOR_THE_HISTORY = (
     *(
         "numpy",
@@ -48,6 +57,17 @@ def leaves(command: click.Command) -> Iterator[click.Command]:
             yield from leaves(inner)
     else:
         yield command
+
+
+def paths(command: click.Command, *before: str) -> Iterator[tuple[str, ...]]:
+    """Yield the words that call `command` and, if it is a group, those that call each of its commands."""
+    yield before
+    if isinstance(command, click.Group):
+        context = click.Context(command)
+        for name in command.list_commands(context):
+            inner = command.get_command(context, name)
+            assert inner is not None
+            yield from paths(inner, *before, name)
 
 
 @pytest.mark.parametrize("name", OWN_COMMANDS)
@@ -84,7 +104,57 @@ def test_the_list_of_commands_imports_none_of_them() -> None:
     loaded = loaded_by("from agent.cli.main import main\nmain(['--help'], standalone_mode=False)")
     assert "agent.cli.main" in loaded
     assert [name for name in NOT_FOR_A_LIST if name in loaded] == []
-    assert [name for name in loaded if name.startswith("agent.cli.")] == ["agent.cli.errors", "agent.cli.main"]
+    own = {name for name in loaded if name.startswith("agent.cli.")}
+    assert own == {"agent.cli.errors", "agent.cli.invocation", "agent.cli.main"}
+
+
+def help_of_process(*words: str) -> tuple[str, list[str]]:
+    """Return what the program prints, called with `words`, and the names of the modules that it has loaded then."""
+    text = (
+        "import atexit, sys\n"
+        "atexit.register(lambda: print(*sys.modules, file=sys.stderr))\n"
+        f"sys.argv = {['volcal', *words]!r}\n"
+        "from agent.cli.main import main\n"
+        "main(prog_name='volcal', terminal_width=80)"
+    )
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
+    return done.stdout, done.stderr.split()
+
+
+@pytest.mark.parametrize("words", tuple(paths(main)), ids=" ".join)
+def test_the_help_of_a_command_waits_for_nothing_that_only_its_run_needs(words: tuple[str, ...]) -> None:
+    """It is the help that a process shows which has imported everything."""
+    shown, loaded = help_of_process(*words, "--help")
+    assert shown == CliRunner().invoke(main, [*words, "--help"], prog_name="volcal").output
+    assert [name for name in NOT_FOR_A_HELP_TEXT if name in loaded] == []
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["-v", "plan", "--config", "nowhere.toml", "--help"],
+        ["plan", "--help", "--no-such-option"],
+        ["plan", "--config", "--help"],
+    ],
+    ids=" ".join,
+)
+def test_help_is_shown_wherever_it_is_asked_for(words: list[str]) -> None:
+    assert help_of_process(*words)[0] == CliRunner().invoke(main, ["plan", "--help"], prog_name="volcal").output
+
+
+def test_a_word_after_two_hyphens_asks_for_no_help(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(invocation._Process, "shows_help", False)
+    assert invocation.program_arguments(["report", "--", "--help"]) == ["report", "--", "--help"]
+    assert invocation.will_run()
+    assert invocation.program_arguments(["-v", "report", "last", "--help"]) == ["report", "last", "--help"]
+    assert not invocation.will_run()
+
+
+def test_the_words_that_options_offer_are_those_of_what_they_choose() -> None:
+    """They stand apart from it, because it is slow to import."""
+    assert tuple(MACHINE_CLASSES) == MACHINE_CLASS_NAMES
+    assert ROLES == TABLE_ROLES
+    assert tuple(OPTIONS_OF_FORMATS) == tuple(FORMATS)
 
 
 def test_the_list_of_runs_waits_for_no_mathematics() -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from agent.runs.guarded_run import GuardedRun
 
 from agent.errors import Aborted, GateRefused, Interrupted, JournalFailed, MeasurementFault, PlanDiverged
 from agent.execution.engine import Engine
@@ -27,7 +28,6 @@ from agent.execution.steps import (
 from agent.execution.supervisor import Supervisor
 from agent.execution.tip_trace import LastMotion
 from agent.probing.paths.retreat import Retreat
-from agent.runs.guarded_run import GuardedRun
 from agent.runs.run_context import RunContext, RunHooks
 from drivers.clock import VirtualClock
 from drivers.errors import DeadlineExpired, DeviceError, LinkLost, MotionFault, PermissionMissing, VolcalError

@@ -14,7 +14,8 @@ from agent.planning.new_machine.field import SetupField
 from agent.planning.new_machine.fields import FIELDS, SETUP_FIELDS, catalogue
 from agent.results.gates import GATE_RULES
 from agent.runs.kinds.restoration import TABLE_ROLES
-from agent.runs.run_request import KINDS, SOURCES
+from agent.runs.run_kinds import KINDS
+from agent.runs.run_request import SOURCES
 from agent.service.alarms import CODES, DEFECT, AlarmCode
 from agent.service.setup.axis_check import Finding, Part, ProbeFinding
 

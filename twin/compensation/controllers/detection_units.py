@@ -10,30 +10,11 @@ from typing import Any
 import numpy as np
 
 from twin.arrays import Array
-from twin.compensation.controllers.format_options import ExportOptions, FormatOption, OneOf, PositiveNumber, WholeNumber
+from twin.compensation.controllers.all_options import DETECTION_UNIT_UM, LARGEST_MAGNIFICATION, MAGNIFICATION
+from twin.compensation.controllers.format_options import ExportOptions
 from twin.errors import DataError
 
-LARGEST_MAGNIFICATION = 100
 CountArray = np.ndarray[Any, np.dtype[np.int64]]
-
-DETECTION_UNIT_UM = FormatOption(
-    "detection_unit_um", PositiveNumber(), 1.0, "FANUC: detection unit in µm [default: 1]."
-)
-MAGNIFICATION = FormatOption[int | None](
-    "magnification",
-    WholeNumber(1, LARGEST_MAGNIFICATION),
-    None,
-    "FANUC: magnification [default: the smallest that fits].",
-)
-CONTROL = FormatOption(
-    "control",
-    OneOf(("30i", "16i")),
-    "30i",
-    "FANUC: form of the data files [default: 30i; 16i for 0i-P, 16i, 18i, 21i].",
-)
-"""Family of controllers. From the 30i on, a block of a data file states what it is: Q1 for a parameter, Q0 for pitch
-error data.
-"""
 
 
 @dataclass(frozen=True)

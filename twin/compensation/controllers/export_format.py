@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Protocol
 
 from twin.arrays import Array
-from twin.compensation.controllers.format_options import ExportOptions, FormatOption
+from twin.compensation.controllers.format_options import ExportOptions
 from twin.compensation.table import CompensationTable
 from twin.machine.error_model import ErrorModel
 
@@ -67,10 +67,9 @@ class FormatWriter(Protocol):
 
 @dataclass(frozen=True)
 class ExportFormat:
-    """Export format of a controller. It has a name, a function that creates the files, and the options that this
-    function reads.
+    """Export format of a controller. It has a name and a function that creates the files; `OPTIONS_OF_FORMATS` has the
+    options that this function reads.
     """
 
     name: str
     export: FormatWriter
-    options: tuple[FormatOption[Any], ...] = ()

@@ -15,8 +15,6 @@ from dataclasses import replace
 import numpy as np
 
 from twin.compensation.controllers.detection_units import (
-    DETECTION_UNIT_UM,
-    MAGNIFICATION,
     CountArray,
     CountUnit,
     format_reference,
@@ -85,4 +83,4 @@ def _parameters(
     return "\n".join([*lines, "%"]) + "\n"
 
 
-FORMAT = ExportFormat("fanuc-3d", export, (REFERENCE_MM, DETECTION_UNIT_UM, MAGNIFICATION))
+FORMAT = ExportFormat("fanuc-3d", export)

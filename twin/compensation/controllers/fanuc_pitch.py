@@ -21,10 +21,8 @@ from dataclasses import replace
 import numpy as np
 
 from twin.arrays import Array
+from twin.compensation.controllers.all_options import CONTROL
 from twin.compensation.controllers.detection_units import (
-    CONTROL,
-    DETECTION_UNIT_UM,
-    MAGNIFICATION,
     CountArray,
     CountUnit,
     format_reference,
@@ -110,4 +108,4 @@ def _parameters(
     return "\n".join(["%", *lines, "%"]) + "\n"
 
 
-FORMAT = ExportFormat("fanuc-pitch", export, (REFERENCE_MM, CONTROL, DETECTION_UNIT_UM, MAGNIFICATION))
+FORMAT = ExportFormat("fanuc-pitch", export)

@@ -12,14 +12,13 @@ a time, so two lines serve as two banks, between which the compensation can be s
 from __future__ import annotations
 
 from twin.arrays import Array
+from twin.compensation.controllers.all_options import ACTIVE_BANK
 from twin.compensation.controllers.export_format import ControllerExport, ExportFormat, ExportSource
 from twin.compensation.controllers.format_options import (
     AXIS_NAMES,
     REFERENCE_MM,
     ExportOptions,
-    FormatOption,
     Names,
-    OneOf,
 )
 from twin.compensation.controllers.grids import even_steps, reference_point, require_points
 from twin.compensation.controllers.reduction import (
@@ -38,8 +37,6 @@ LOSSES = (
     "rotation and cross-effect: every column depends on one axis only, so the workspace's average is corrected",
     "steps of 0.1 µm",
 )
-
-ACTIVE_BANK = FormatOption("cma_bank", OneOf(("A", "B")), "A", "HEIDENHAIN: active line [default: A].")
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
@@ -87,4 +84,4 @@ def _line(number: str, *cells: str) -> str:
     return (number.ljust(_NUMBER) + "".join(cell.ljust(_CELL) for cell in cells)).rstrip()
 
 
-FORMAT = ExportFormat("heidenhain-com", export, (REFERENCE_MM, AXIS_NAMES, ACTIVE_BANK))
+FORMAT = ExportFormat("heidenhain-com", export)

@@ -54,4 +54,4 @@ def _rows(profile: Profile, sign: int) -> str:
     return "\n".join(lines) + "\n"
 
 
-FORMAT = ExportFormat("linuxcnc-comp", export, (REFERENCE_MM,))
+FORMAT = ExportFormat("linuxcnc-comp", export)

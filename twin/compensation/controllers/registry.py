@@ -18,7 +18,6 @@ from twin.compensation.controllers import (
     siemens_lec,
 )
 from twin.compensation.controllers.export_format import ExportFormat
-from twin.compensation.controllers.format_options import FormatOption
 
 FORMATS: Mapping[str, ExportFormat] = {
     one.name: one
@@ -36,15 +35,3 @@ FORMATS: Mapping[str, ExportFormat] = {
         neutral.FORMAT,
     )
 }
-
-
-def all_options() -> tuple[FormatOption[object], ...]:
-    """Return all options that the export formats declare, in the order of the formats. An option that several formats
-    declare is returned once.
-    """
-    return tuple({option.key: option for one in FORMATS.values() for option in one.options}.values())
-
-
-def formats_with(key: str) -> tuple[str, ...]:
-    """Return the names of the export formats that read the option with the key `key`."""
-    return tuple(name for name, one in FORMATS.items() if any(option.key == key for option in one.options))

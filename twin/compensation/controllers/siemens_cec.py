@@ -20,15 +20,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twin.arrays import Array
+from twin.compensation.controllers.all_options import FIRST_TABLE, MOST_TABLES, NO_PRODUCTS
 from twin.compensation.controllers.export_format import ControllerExport, ExportFormat, ExportSource
 from twin.compensation.controllers.format_options import (
     AXIS_NAMES,
     REFERENCE_MM,
     ExportOptions,
-    FormatOption,
     Names,
-    Switch,
-    WholeNumber,
 )
 from twin.compensation.controllers.grids import even_steps, reference_point, require_points
 from twin.compensation.controllers.reduction import (
@@ -46,10 +44,6 @@ _PRODUCT_DECIMALS = 9
 _TABLES_PER_PRODUCT = 4
 
 LOSSES = ("terms that depend on all three axes, are worth less than 0.02 µm or do not fit into the tables",)
-
-FIRST_TABLE = FormatOption("first_table", WholeNumber(0), 0, "Siemens CEC: index of the first table.")
-MOST_TABLES = FormatOption("tables", WholeNumber(1), 62, "Siemens CEC: maximum number of tables [default: 62].")
-NO_PRODUCTS = FormatOption("no_products", Switch(), False, "Siemens CEC: no multiplied tables.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,4 +167,4 @@ def _enabling(indices: range) -> str:
     return "\n".join(["%_N_CEC_ENABLE_SPF", *lines, "M17"]) + "\n"
 
 
-FORMAT = ExportFormat("siemens-cec", export, (REFERENCE_MM, AXIS_NAMES, FIRST_TABLE, MOST_TABLES, NO_PRODUCTS))
+FORMAT = ExportFormat("siemens-cec", export)

@@ -9,13 +9,12 @@ number of points is set in MD38000 $MA_MM_ENC_COMP_MAX_POINTS.
 from __future__ import annotations
 
 from twin.arrays import Array
+from twin.compensation.controllers.all_options import ENCODER
 from twin.compensation.controllers.export_format import ControllerExport, ExportFormat, ExportSource
 from twin.compensation.controllers.format_options import (
     AXIS_NAMES,
     REFERENCE_MM,
     ExportOptions,
-    FormatOption,
-    WholeNumber,
 )
 from twin.compensation.controllers.grids import even_steps, reference_point, require_points
 from twin.compensation.controllers.reduction import Profile, own_axis_profiles, round_profile, sum_of_own_axis_profiles
@@ -26,8 +25,6 @@ MOST_POINTS = 5000
 DECIMALS = 6
 
 LOSSES = ("straightness, squareness and rotation: an axis is corrected by its own position only",)
-
-ENCODER = FormatOption("encoder", WholeNumber(0, 1), 0, "Siemens LEC: measuring system, 0 or 1.")
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
@@ -78,4 +75,4 @@ def number(value: float) -> str:
     return text if "." in text or "e" in text else f"{text}.0"
 
 
-FORMAT = ExportFormat("siemens-lec", export, (REFERENCE_MM, AXIS_NAMES, ENCODER))
+FORMAT = ExportFormat("siemens-lec", export)
