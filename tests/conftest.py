@@ -23,6 +23,7 @@ settings.load_profile("check" if os.environ.get("CI") else "desk")
 
 
 SLOW = Path(__file__).with_name("slow.txt")
+LONG = Path(__file__).with_name("long_files.txt")
 
 # A shell without job control starts what is put in the background with the keyboard's interrupt ignored, and so would
 # everything be that the tests start: those that interrupt would wait without end.
@@ -31,13 +32,19 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark the tests listed in slow.txt, so that `make quick` can leave them out."""
-    listed = {line for line in SLOW.read_text(encoding="utf-8").splitlines() if line and not line.startswith("#")}
+    """Mark the tests listed in slow.txt, so that `make quick` can leave them out; begin with the files that take long."""
+    listed = set(_entries(SLOW))
     for item in items:
         path = item.path.relative_to(config.rootpath).as_posix()
         function = item.nodeid.partition("[")[0].rpartition("/")[2].partition("::")[2]
         if not listed.isdisjoint((path, f"{path}::{function}")):
             item.add_marker(pytest.mark.slow)
+    first = {path: place for place, path in enumerate(_entries(LONG))}
+    items.sort(key=lambda item: first.get(item.path.relative_to(config.rootpath).as_posix(), len(first)))
+
+
+def _entries(listing: Path) -> list[str]:
+    return [line for line in listing.read_text(encoding="utf-8").splitlines() if line and not line.startswith("#")]
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
