@@ -32,7 +32,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark the tests listed in slow.txt, so that `make quick` can leave them out; begin with the files that take long."""
+    """Mark the tests of slow.txt, so that `make quick` can leave them out; begin with the files of long_files.txt."""
     listed = set(_entries(SLOW))
     for item in items:
         path = item.path.relative_to(config.rootpath).as_posix()

@@ -29,8 +29,6 @@ from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError
 from twin.formats.estimate_file import parse_estimate
 
-pytestmark = pytest.mark.timeout(300)
-
 COLLISION = {"night": 1, "collision_night": 1, "collision": {"B0Z": 120.0}}
 NIGHTLY = {"slot_minutes": 30.0, "check_positions": 1}
 

@@ -1,4 +1,4 @@
-"""The list of slow tests names tests that exist and that `make quick` would otherwise run; the list of long files, files."""
+"""The lists of slow tests and of long files name what exists; `make quick` would run each slow test."""
 
 from __future__ import annotations
 
