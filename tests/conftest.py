@@ -1,4 +1,4 @@
-"""Shared set-up of all tests: one BLAS thread, and property tests that a check repeats exactly.
+"""Shared set-up of all tests: one BLAS thread, folders in memory, and property tests that a check repeats exactly.
 
 With `CI` set the examples of hypothesis are derived from the tests alone, so that a check that was green stays green
 on the same tree; at a desk they are drawn anew each time, to find what is left.
@@ -11,6 +11,22 @@ import signal
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is first imported; see agent/cli/main.py
+
+SHARED = Path("/dev/shm")
+ROOM_BYTES = 4 << 30
+
+
+def _in_memory() -> bool:
+    """Whether the folders of tests can be in memory: there is room for them, and programs built in them can run."""
+    if not os.access(SHARED, os.W_OK):
+        return False
+    found = os.statvfs(SHARED)
+    return found.f_bavail * found.f_frsize >= ROOM_BYTES and not found.f_flag & os.ST_NOEXEC
+
+
+# A run commits 18,000 times, and each waits for the disk; tests of durability kill processes, never the computer.
+if _in_memory():
+    os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(SHARED))
 
 import pytest
 from aloud import NOT_HERE
