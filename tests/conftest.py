@@ -12,7 +12,17 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is first imported; see agent/cli/main.py
 
-SHARED = Path("/dev/shm")
+import pytest
+from aloud import NOT_HERE
+from hypothesis import HealthCheck, settings
+
+settings.register_profile("desk", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("check", parent=settings.get_profile("desk"), derandomize=True, database=None)
+settings.register_profile("quick", parent=settings.get_profile("check"), max_examples=10)
+settings.load_profile("check" if os.environ.get("CI") else "desk")
+
+
+SHARED = Path("/dev/shm")  # noqa: S108  pytest makes a directory of its own inside
 ROOM_BYTES = 4 << 30
 
 
@@ -27,15 +37,6 @@ def _in_memory() -> bool:
 # A run commits 18,000 times, and each waits for the disk; tests of durability kill processes, never the computer.
 if _in_memory():
     os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(SHARED))
-
-import pytest
-from aloud import NOT_HERE
-from hypothesis import HealthCheck, settings
-
-settings.register_profile("desk", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.register_profile("check", parent=settings.get_profile("desk"), derandomize=True, database=None)
-settings.register_profile("quick", parent=settings.get_profile("check"), max_examples=10)
-settings.load_profile("check" if os.environ.get("CI") else "desk")
 
 
 SLOW = Path(__file__).with_name("slow.txt")
