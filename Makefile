@@ -17,7 +17,7 @@ run: setup
 	$(BIN)/volcal demo
 
 test: setup
-	$(BIN)/python -m pytest --numprocesses auto --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest --numprocesses auto --dist loadfile --no-loadscope-reorder --durations=20
 
 # What tells most in a minute: unit, contract, property and golden tests without those of tests/slow.txt, few examples of
 # each property.
@@ -40,7 +40,9 @@ contracts: setup
 dead-code: setup
 	$(BIN)/vulture
 
-check: lint types contracts dead-code test
+# The first four beside the tests; fails if any of them fails.
+check: setup
+	MAKE="$(MAKE)" .ci/check
 
 bench: setup
 	$(BIN)/python -m benchmarks

@@ -1,4 +1,4 @@
-"""Shared set-up of all tests: one BLAS thread, and property tests that a check repeats exactly.
+"""Shared set-up of all tests: one BLAS thread, folders in memory, and property tests that a check repeats exactly.
 
 With `CI` set the examples of hypothesis are derived from the tests alone, so that a check that was green stays green
 on the same tree; at a desk they are drawn anew each time, to find what is left.
@@ -22,7 +22,25 @@ settings.register_profile("quick", parent=settings.get_profile("check"), max_exa
 settings.load_profile("check" if os.environ.get("CI") else "desk")
 
 
+SHARED = Path("/dev/shm")  # noqa: S108  pytest makes a directory of its own inside
+ROOM_BYTES = 4 << 30
+
+
+def _in_memory() -> bool:
+    """Whether the folders of tests can be in memory: there is room for them, and programs built in them can run."""
+    if not os.access(SHARED, os.W_OK):
+        return False
+    found = os.statvfs(SHARED)
+    return found.f_bavail * found.f_frsize >= ROOM_BYTES and not found.f_flag & os.ST_NOEXEC
+
+
+# A run commits 18,000 times, and each waits for the disk; tests of durability kill processes, never the computer.
+if _in_memory():
+    os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(SHARED))
+
+
 SLOW = Path(__file__).with_name("slow.txt")
+LONG = Path(__file__).with_name("long_files.txt")
 
 # A shell without job control starts what is put in the background with the keyboard's interrupt ignored, and so would
 # everything be that the tests start: those that interrupt would wait without end.
@@ -31,13 +49,19 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark the tests listed in slow.txt, so that `make quick` can leave them out."""
-    listed = {line for line in SLOW.read_text(encoding="utf-8").splitlines() if line and not line.startswith("#")}
+    """Mark the tests of slow.txt, so that `make quick` can leave them out; begin with the files of long_files.txt."""
+    listed = set(_entries(SLOW))
     for item in items:
         path = item.path.relative_to(config.rootpath).as_posix()
         function = item.nodeid.partition("[")[0].rpartition("/")[2].partition("::")[2]
         if not listed.isdisjoint((path, f"{path}::{function}")):
             item.add_marker(pytest.mark.slow)
+    first = {path: place for place, path in enumerate(_entries(LONG))}
+    items.sort(key=lambda item: first.get(item.path.relative_to(config.rootpath).as_posix(), len(first)))
+
+
+def _entries(listing: Path) -> list[str]:
+    return [line for line in listing.read_text(encoding="utf-8").splitlines() if line and not line.startswith("#")]
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -17,7 +17,7 @@ from service_process import Service, service, simulator
 
 FLAGS = ["--no-sandbox", "--disable-background-networking", "--disable-component-update", "--disable-sync"]
 
-expect.set_options(timeout=120_000)
+expect.set_options(timeout=600_000)
 
 
 # not the session's: the loop that Playwright runs in this thread must end before tests that run one of their own

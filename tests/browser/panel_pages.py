@@ -47,7 +47,7 @@ def opened(chromium: Browser, house: Service, locale: str = "en", **options: Any
 
 def at_rest(house: Service) -> None:
     house.post("/api/abort")
-    house.reached("idle", "complete", "refused", "aborted", "faulted", within_s=120.0)
+    house.reached("idle", "complete", "refused", "aborted", "faulted")
     house.post("/api/reset")
 
 

@@ -12,8 +12,6 @@ import pytest
 from panel_pages import PANEL
 from playwright.sync_api import Page, Response, Route, expect
 
-pytestmark = pytest.mark.timeout(300)
-
 SECTIONS = ("map", "curves", "trend", "parameters", "design", "tables", "events", "temperatures", "reports")
 MEASURES = (Path(__file__).parent / "measures.js").read_text()
 CATALOGUE = Path(__file__).parents[2] / "agent" / "service" / "page" / "assets" / "messages.json"

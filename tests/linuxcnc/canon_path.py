@@ -45,7 +45,7 @@ def execute(program: Path, folder: Path) -> Executed:
         cwd=program.parent,
         stdin=subprocess.DEVNULL,
         capture_output=True,
-        timeout=120.0,
+        timeout=600.0,
         check=False,
     )
     text = done.stdout.decode(errors="replace")

@@ -121,7 +121,9 @@ UPPER_MM = (800.0, 400.0, 320.0)
 
 def compile_components(folder: Path) -> Path:
     """Compile the modules and the loader from source, as a user would, and return `folder`."""
-    subprocess.run(["make", "-s", "-C", str(COMPONENTS), f"OUT={folder}"], check=True, capture_output=True, timeout=60)
+    subprocess.run(
+        ["make", "-s", "-C", str(COMPONENTS), f"OUT={folder}"], check=True, capture_output=True, timeout=600.0
+    )
     return folder
 
 

@@ -74,7 +74,7 @@ class Live:
         """Send commands of the module linuxcnc as an operator's panel would, waiting until each has been accepted."""
         lines = [f"c.{command}; c.wait_complete(5)" for command in commands]
         script = "\n".join(("import linuxcnc", "c = linuxcnc.command()", *lines))
-        subprocess.run([*self.process.bridge_command, "-c", script], check=True, capture_output=True, timeout=270.0)
+        subprocess.run([*self.process.bridge_command, "-c", script], check=True, capture_output=True, timeout=600.0)
 
 
 @contextmanager

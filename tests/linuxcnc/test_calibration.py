@@ -7,14 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
 from requirements import requires_linuxcnc
 
 from campaigns.linuxcnc import EXIT_NOT_RUN, run_calibration, short_trial
 
 
 @requires_linuxcnc
-@pytest.mark.timeout(400)
 def test_stock_linuxcnc_is_calibrated_end_to_end(tmp_path: Path) -> None:
     result = run_calibration(short_trial(tmp_path / "work", speed=15.0))
     assert result["exit_code"] == 0, result
@@ -32,7 +30,7 @@ def test_benchmark_reports_that_linuxcnc_cannot_run(tmp_path: Path) -> None:
         env={"PATH": str(tmp_path)},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=600.0,
         check=False,
     )
     assert done.returncode == EXIT_NOT_RUN

@@ -43,7 +43,7 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
     subprocess.run(
         ["gcc", "-O1", "-shared", "-fPIC", "-DULAPI", *strict, f"-I{HEADERS.parent}", f"-I{COMPONENTS}",
          "entries.c", "-o", "entries.so"],
-        cwd=folder, check=True, timeout=60,
+        cwd=folder, check=True, timeout=600.0,
     )  # fmt: skip
     return ctypes.CDLL(str(folder / "entries.so"))
 

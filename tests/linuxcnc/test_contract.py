@@ -14,7 +14,6 @@ from drivers.contract.store_contract import CompensationStoreContract, Thermomet
 
 pytestmark = [
     requires_linuxcnc,
-    pytest.mark.timeout(300),
 ]
 
 

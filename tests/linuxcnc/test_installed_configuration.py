@@ -42,7 +42,6 @@ OWNERS_CHANGES = {
 
 pytestmark = [
     requires_linuxcnc,
-    pytest.mark.timeout(300),
 ]
 
 

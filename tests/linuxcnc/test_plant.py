@@ -55,7 +55,7 @@ def test_servo_thread_reads_the_data_written_by_python(tmp_path: Path) -> None:
     )
     (tmp_path / "reader.c").write_text(READER, encoding="utf-8")
     flags = ["-I/usr/include/linuxcnc", f"-I{COMPONENTS}", "-DULAPI", "-DUSPACE", "-D_GNU_SOURCE", "-w"]
-    subprocess.run(["gcc", *flags, "-o", "reader", "reader.c", "-lm"], cwd=tmp_path, check=True, timeout=60)
+    subprocess.run(["gcc", *flags, "-o", "reader", "reader.c", "-lm"], cwd=tmp_path, check=True, timeout=600.0)
     places = rng.uniform(origin, origin + step * (np.array(nodes) - 1), (50, 3))
     places[-1] = [-100.0, 30.0, 1000.0]
     output = subprocess.run(
@@ -64,7 +64,7 @@ def test_servo_thread_reads_the_data_written_by_python(tmp_path: Path) -> None:
         capture_output=True,
         text=True,
         check=True,
-        timeout=60,
+        timeout=600.0,
     ).stdout.splitlines()
     assert [float(word) for word in output[0].split()] == [2.0, 7.0, 0.3, 21.0]
     assert [float(word) for word in output[1].split()] == [4.0, 5.0, 6.0]

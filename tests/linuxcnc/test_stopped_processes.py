@@ -29,7 +29,6 @@ BOUNDED_S = 60.0
 
 pytestmark = [
     requires_linuxcnc,
-    pytest.mark.timeout(300),
 ]
 
 

@@ -23,7 +23,7 @@ def missing(preparation: str) -> str:
     for program in ("unshare", "ip"):
         if shutil.which(program) is None:
             return f"there is no program {program}"
-    tried = subprocess.run(inside(preparation, ["true"]), capture_output=True, text=True, timeout=270.0, check=False)
+    tried = subprocess.run(inside(preparation, ["true"]), capture_output=True, text=True, timeout=600.0, check=False)
     return tried.stderr.strip().replace("\n", "; ") or "it cannot be made" if tried.returncode else ""
 
 

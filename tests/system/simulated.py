@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "config"
 SCENARIO = CONFIG / "simulators" / "case-study.toml"
 COMMAND = [sys.executable, "-m", "agent.cli.main"]
-PATIENCE_S = 45.0
+PATIENCE_S = 600.0
 SHORT_SET = "station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n1,90,45\n"
 """Smallest position set at one station whose table removes more than its own uncertainty, if the machine is bad.
 

@@ -40,7 +40,7 @@ class Due:
     waiting: list[tuple[float, dict[str, Any]]] = field(default_factory=list)
 
     def say(self, request: dict[str, Any]) -> dict[str, Any]:
-        with socket.create_connection(self.control, timeout=10.0) as link:
+        with socket.create_connection(self.control, timeout=600.0) as link:
             link.sendall(json.dumps(request).encode() + b"\n")
             answer: dict[str, Any] = json.loads(link.makefile().readline())
         return answer

@@ -58,7 +58,7 @@ def demo(directory: Path, *options: str) -> subprocess.CompletedProcess[str]:
         cwd=directory,
         capture_output=True,
         text=True,
-        timeout=270.0,
+        timeout=600.0,
         check=False,
     )
 

@@ -22,7 +22,6 @@ from drivers.errors import GuardTripped
 from simulators.world.world import World
 from twin.artefact.position_set import Position
 
-pytestmark = pytest.mark.timeout(300)
 FREE, UPWARDS = Position(2, 45.0, 0.0), Position(2, 0.0, 45.0)
 
 

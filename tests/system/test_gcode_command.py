@@ -91,7 +91,7 @@ def test_as_a_process(identified: tuple, tmp_path: Path) -> None:
     for part, code in (("part.nc", 0), ("bad.nc", 2)):
         command = [sys.executable, "-m", "agent.cli.main", "gcode", "correct", str(tmp_path / part)]
         done = subprocess.run(
-            [*command, *map(str, given(identified[1]))], capture_output=True, timeout=270.0, check=False
+            [*command, *map(str, given(identified[1]))], capture_output=True, timeout=600.0, check=False
         )
         assert (done.returncode, bool(done.stdout)) == (code, code == 0), done.stderr
         assert (b"line 10" in done.stderr, b"Traceback" in done.stderr) == (code == 2, False)

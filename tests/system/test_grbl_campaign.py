@@ -6,13 +6,10 @@ import json
 import subprocess
 import sys
 
-import pytest
 
-
-@pytest.mark.timeout(300)
 def test_every_disturbance_ends_well_and_the_run_itself_makes_the_machine_better() -> None:
     command = [sys.executable, "-m", "campaigns.grbl", "--events", "14", "--workers", "1", "--dialect", "grblhal"]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=290.0, check=False)
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=600.0, check=False)
     assert ended.stdout, ended.stderr
     result = json.loads(ended.stdout.splitlines()[-1])
     assert result["failures"] == []

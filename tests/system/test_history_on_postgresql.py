@@ -36,8 +36,6 @@ from agent.planning.job_preparation import prepare_job
 from agent.settings.schema import Settings
 from drivers.errors import LinkLost
 
-pytestmark = pytest.mark.timeout(300)
-
 PASSWORD = "for-this-test-only"  # noqa: S105  of a server that lives as long as the test
 SWITCH = "VOLCAL_WITHOUT_POSTGRESQL"
 
@@ -89,7 +87,7 @@ class Server:
         if os.geteuid() == 0:
             command = ["runuser", "-u", self.user, "--", *command]
         with (self.folder / f"{program}.out").open("ab") as out:
-            done = subprocess.run(command, stdout=out, stderr=out, cwd=self.folder, check=False, timeout=60)
+            done = subprocess.run(command, stdout=out, stderr=out, cwd=self.folder, check=False, timeout=600.0)
         assert done.returncode == 0, (self.folder / f"{program}.out").read_text()
 
 

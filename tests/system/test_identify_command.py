@@ -39,7 +39,7 @@ RESULTS = [*ARTEFACT, "estimate.json", "report.html", "table.csv", "table.json"]
 
 def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     command = [*RUN, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=270.0, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=600.0, check=False)
 
 
 def arguments(balls: Path, out: Path, machine: Path = MACHINE_FILE, artefact: Path = ARTEFACT_FILE) -> list[str]:

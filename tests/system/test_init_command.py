@@ -22,7 +22,7 @@ MILL = ("--class", "mill", "--travel", "800", "500", "400")
 
 def run(directory: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [*COMMAND, *arguments], cwd=directory, capture_output=True, text=True, timeout=270.0, check=False,
+        [*COMMAND, *arguments], cwd=directory, capture_output=True, text=True, timeout=600.0, check=False,
         stdin=subprocess.DEVNULL,
     )  # fmt: skip
 

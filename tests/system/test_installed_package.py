@@ -18,8 +18,6 @@ SOURCES = (*PACKAGES, "config", "pyproject.toml", "README.md", "LICENSE")
 COMMAND = "import sys; from agent.cli.main import main; sys.argv[0] = 'volcal'; main()"
 POSITIONS = "station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n"
 
-pytestmark = pytest.mark.timeout(600)
-
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import json
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -29,8 +31,6 @@ from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError
 from twin.formats.estimate_file import parse_estimate
 
-pytestmark = pytest.mark.timeout(300)
-
 COLLISION = {"night": 1, "collision_night": 1, "collision": {"B0Z": 120.0}}
 NIGHTLY = {"slot_minutes": 30.0, "check_positions": 1}
 
@@ -48,8 +48,9 @@ class Calibrated:
         return self.night.run({**self.settings, **sections}, kind=kind, files=False)
 
 
-@pytest.fixture
-def machine(monkeypatch: pytest.MonkeyPatch) -> Iterator[Calibrated]:
+@pytest.fixture(scope="module")
+def calibrated() -> Iterator[Calibrated]:
+    """Nobody works on it: each test has a copy."""
     with memory_directory() as directory:
         state = Path(directory) / "state"
         settings = short_document(state, nightly=NIGHTLY)
@@ -59,6 +60,15 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> Iterator[Calibrated]:
         assert first.outcome.proof is not None
         assert first.outcome.proof.accepted
         yield Calibrated(night, state, settings, first)
+
+
+@pytest.fixture
+def machine(calibrated: Calibrated) -> Iterator[Calibrated]:
+    with memory_directory() as directory:
+        state = Path(directory) / "state"
+        shutil.copytree(calibrated.state, state)
+        settings = copy.deepcopy(calibrated.settings) | {"state_directory": str(state)}
+        yield Calibrated(Night(world=copy.deepcopy(calibrated.night.world)), state, settings, calibrated.first)
 
 
 def told(outcome: Outcome) -> Decision:
@@ -102,13 +112,13 @@ def test_verification_compares_and_writes_nothing(machine: Calibrated) -> None:
 
 def test_copy_beside_the_journal_is_an_estimate_to_go_on_from(machine: Calibrated) -> None:
     machine.night.run(machine.settings)
-    copy = machine.state / COPY_NAME
+    kept = machine.state / COPY_NAME
     last = read_reference(machine.state)
     assert last is not None
     if last.run_id != machine.first.outcome.run_id:
-        assert parse_estimate(copy.read_text(), str(copy)).carried_over().mean == pytest.approx(last.estimate.z)
+        assert parse_estimate(kept.read_text(), str(kept)).carried_over().mean == pytest.approx(last.estimate.z)
     write_copy(machine.state, last.run_id)
-    assert parse_estimate(copy.read_text(), str(copy)).parameters == pytest.approx(last.estimate.parameters)
+    assert parse_estimate(kept.read_text(), str(kept)).parameters == pytest.approx(last.estimate.parameters)
     assert last.nights_until("2100-01-01T00:00:00.000Z") > 20000.0
 
 

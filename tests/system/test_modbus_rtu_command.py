@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import pytest
 from nights import memory_directory
 from test_demo_command import demo
 
@@ -17,7 +16,6 @@ from agent.settings.load import load_settings
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 SETTINGS, SCENARIO = CONFIG / "case-study.toml", CONFIG / "simulators" / "case-study.toml"
-pytestmark = pytest.mark.timeout(300)
 
 
 def test_a_whole_run_over_a_serial_line(tmp_path: Path) -> None:

@@ -8,10 +8,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
-pytestmark = pytest.mark.timeout(300)
-
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -23,7 +19,7 @@ def test_short_slots_keep_up_and_a_collision_is_noticed_named_and_calibrated(tmp
         cwd=ROOT,
         capture_output=True,
         text=True,
-        timeout=280,
+        timeout=600.0,
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr

@@ -55,7 +55,7 @@ def test_picture_and_page_are_written_and_named(written: tuple[Path, dict]) -> N
 
 def test_without_a_preview_its_drawing_is_not_even_imported() -> None:
     code = "import sys, agent.cli.run_commands.plan; print([m for m in sys.modules if 'preview' in m])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=270.0, check=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=600.0, check=True)
     assert done.stdout.strip() == "[]"
 
 
@@ -198,7 +198,7 @@ def run_page(folder: Path, tmp_path: Path) -> dict:
         f'"use strict";{STAND_IN}\n(() => {{\n{program}\n}})();\n{SESSION}', encoding="utf-8"
     )
     command = [str(NODE), str(tmp_path / "page.cjs"), str(tmp_path / "data.json")]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=270.0, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600.0, check=False)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 

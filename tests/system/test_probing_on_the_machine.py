@@ -31,7 +31,6 @@ from drivers.roles import Miss, Touch
 from simulators.backend import SimulatedMachineDevice
 from twin.artefact.position_set import Position
 
-pytestmark = pytest.mark.timeout(300)
 LOCATING = 5
 """Touches by which the first ball is located before its pattern."""
 POSITIONS = (Position(1, 45.0, 0.0), Position(1, 90.0, 45.0))

@@ -25,7 +25,6 @@ from drivers.clock import VirtualClock
 from drivers.errors import GuardTripped
 from simulators.backend import SimulatedMachineDevice
 
-pytestmark = pytest.mark.timeout(300)
 EVERY = 17
 """Prime to the rhythm of touches, so that every kind of step is stopped at one ball or another."""
 POSITIONS = "station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n1,90,-45\n"

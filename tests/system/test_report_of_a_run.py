@@ -27,8 +27,6 @@ from drivers.errors import InputError
 from twin.formats.estimate_file import parse_estimate
 from twin.machine.volumetric import QuadraticForm, evaluation_grid
 
-pytestmark = pytest.mark.timeout(300)
-
 
 @dataclass
 class Season:

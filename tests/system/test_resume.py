@@ -341,7 +341,6 @@ def test_a_table_that_waits_for_a_restart_is_completed_by_the_next_start(monkeyp
     assert reconcile(rig, STATE).state is CompensationState.AS_EXPECTED
 
 
-@pytest.mark.timeout(300)
 def test_a_night_goes_on_while_its_slot_lasts(monkeypatch, tmp_path: Path) -> None:
     (tmp_path / "night").mkdir()
     monkeypatch.chdir(tmp_path / "night")

@@ -24,7 +24,6 @@ from agent.runs.kinds.calibrate import preflight_of
 from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
 
-pytestmark = pytest.mark.timeout(300)
 GROWTH_UM_PER_M = (1.5, -2.0, 3.0)
 
 

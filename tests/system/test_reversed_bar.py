@@ -15,7 +15,6 @@ from agent.errors import MeasurementFault
 from agent.execution.journal_reader import open_journal
 from agent.execution.states import RunState
 
-pytestmark = pytest.mark.timeout(300)
 BAR = CONFIG / "artefacts" / "straight-bar-1500.toml"
 COUNT = 11
 

@@ -30,8 +30,6 @@ from agent.execution.states import FINAL
 
 ENDS = {state.value for state in FINAL}
 
-pytestmark = pytest.mark.timeout(300)
-
 
 @pytest.fixture(scope="module")
 def house(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:

@@ -25,8 +25,8 @@ from simulators.operator import PLUGIN, SimulatedOperator, SimulatedOperatorSett
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENARIO = ROOT / "config" / "simulators" / "case-study.toml"
-END_WITHIN_S = 270.0
-LINES = 20.0
+END_WITHIN_S = 600.0
+LINES = 600.0
 
 
 def command(*options: str, config: Path = SCENARIO) -> list[str]:

@@ -21,7 +21,6 @@ from agent.runs.session import RunResult
 from agent.runs.unfinished_run import unfinished_run
 from agent.settings.schema import Settings
 
-pytestmark = pytest.mark.timeout(300)
 WIDE = dict.fromkeys(("form_limit_um", "touch_limit_um", "pole_limit_um", "radius_limit_um"), 300.0)
 
 
@@ -40,7 +39,7 @@ def scenario(**sections: Any) -> dict[str, Any]:
 
 def called(*arguments: str) -> subprocess.CompletedProcess[str]:
     command = [*COMMAND, *arguments]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=140, check=False)
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600.0, check=False)
 
 
 def tried(state: Path, night: Night, **sections: Any) -> RunResult:

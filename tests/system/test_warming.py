@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import pytest
-
 from campaigns.warming.trials import compare_runs
-
-pytestmark = pytest.mark.timeout(300)
 
 
 def test_a_table_measured_while_all_warms_is_no_worse_by_more_than_a_fifth() -> None:

@@ -36,7 +36,6 @@ from twin.formats.estimate_file import StoredEstimate, parse_estimate
 from twin.machine.forward_model import deviation_basis
 from twin.machine.volumetric import evaluation_grid, volumetric_error
 
-pytestmark = pytest.mark.timeout(300)
 ACTING_KINDS = {step.__name__ for step in STEPS_WITH_EFFECT}
 
 

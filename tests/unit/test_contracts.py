@@ -72,7 +72,7 @@ def lint(tree: Path, *options: str) -> subprocess.CompletedProcess[str]:
     """Run `lint-imports` on the tree; the environment's path to other copies of the packages is left out."""
     command = [sys.executable, "-c", LINT, "--no-cache", "--no-logo", *options]
     return subprocess.run(
-        command, cwd=tree, env={"PATH": ""}, capture_output=True, text=True, timeout=270.0, check=False
+        command, cwd=tree, env={"PATH": ""}, capture_output=True, text=True, timeout=600.0, check=False
     )
 
 

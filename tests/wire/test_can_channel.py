@@ -51,7 +51,7 @@ class RawClient:
     """Client on a plain socket that speaks the protocol as documented."""
 
     def __init__(self, port: int) -> None:
-        self._stream = socket.create_connection(("127.0.0.1", port), timeout=5.0)
+        self._stream = socket.create_connection(("127.0.0.1", port), timeout=600.0)
         self._text = ""
 
     def expect(self, text: str) -> None:
@@ -227,7 +227,7 @@ def test_two_processes_over_socketcand() -> None:
             [sys.executable, "-c", program, str(channel.options["port"])],
             capture_output=True,
             text=True,
-            timeout=270.0,
+            timeout=600.0,
             check=True,
         )
     assert result.stdout.strip() == "4006"

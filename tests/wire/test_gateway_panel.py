@@ -20,7 +20,7 @@ from agent.settings.panel_gateway import GatewaySettings
 from drivers.errors import ConfigurationError
 
 CODE = 3_000_000_019  # more than 31 bits, high and low word different
-SLOWLY_S = 10.0
+SLOWLY_S = 300.0
 # As a panel's programmer reads them in docs/reference/panel-gateway.md.
 FLAGS, STATE, PACKML, KIND, PROGRESS = 2, 3, 4, 5, 7
 MINUTES = 8

@@ -56,7 +56,7 @@ class Peer:
     """Client that knows frames and addresses only as numbers."""
 
     def __init__(self, address: tuple[str, int]) -> None:
-        self.socket = socket.create_connection(address, timeout=5.0)
+        self.socket = socket.create_connection(address, timeout=600.0)
         self.sequence = 0
         self.heartbeat = 0
 

@@ -41,7 +41,7 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
         pytest.skip(f"{NOT_HERE}: the libmodbus peers: gcc or Debian's libmodbus-dev is missing")
     target = tmp_path_factory.mktemp("peer") / "ideal_machine"
     warnings = ["-Wall", "-Wextra", "-Werror", "-I/usr/include/modbus"]
-    subprocess.run(["gcc", "-O1", *warnings, "-o", target, SOURCE, "-lmodbus", "-lm"], check=True, timeout=270.0)
+    subprocess.run(["gcc", "-O1", *warnings, "-o", target, SOURCE, "-lmodbus", "-lm"], check=True, timeout=600.0)
     return target
 
 

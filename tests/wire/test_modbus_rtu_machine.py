@@ -77,7 +77,7 @@ def test_another_baud_rate_is_not_understood(controller: ModbusRtuController) ->
 def test_on_a_clock_of_its_own_the_line_is_truly_paced(controller: ModbusRtuController) -> None:
     request = framed("01 03 03E8 0046")
     started_s = wall_seconds()
-    with serial.Serial(controller.agent_settings["serial"]["port"], 9600, timeout=5.0) as port:
+    with serial.Serial(controller.agent_settings["serial"]["port"], 9600, timeout=600.0) as port:
         port.write(request)
         assert len(port.read(145)) == 145
     assert wall_seconds() - started_s >= (8 + 145) * 11 / 9600 + 3.5 * 11 / 9600

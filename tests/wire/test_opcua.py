@@ -31,7 +31,7 @@ from agent.settings.opcua import OpcUaSettings
 from drivers.errors import ConfigurationError
 
 TOKEN = secrets.token_urlsafe()
-WITHIN_S = 20.0
+WITHIN_S = 300.0
 ROOT = "Volcal"
 
 

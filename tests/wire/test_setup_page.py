@@ -22,8 +22,6 @@ from agent.settings.service import ServiceSettings
 from drivers.errors import LinkLost
 from drivers.roles import AxisLimits, ProbeStatus, Vector
 
-pytestmark = pytest.mark.timeout(600)
-
 MILL = {"machine_class": "mill", "travel": "800 500 400"}
 WRITING = ("answers", "connect", "jog", "seen", "touch", "touched", "review", "write", "finish")
 LIMITS = AxisLimits((0.0, 0.0, 0.0), (700.0, 500.0, 400.0), (100.0, 100.0, float("nan")), (2000.0, 2000.0, 2000.0))
@@ -49,7 +47,7 @@ def client(session: SetupSession, served: str) -> Iterator[Client]:
     """With the token, before nothing is stated."""
     session.state(dict.fromkeys(FIELDS, ""))
     headers = {"Authorization": f"Bearer {session.token}"}
-    with Client(base_url=served, headers=headers, timeout=400.0, trust_env=False) as client:
+    with Client(base_url=served, headers=headers, timeout=600.0, trust_env=False) as client:
         yield client
 
 

@@ -39,7 +39,7 @@ class Terminal:
     """Host that types commands, with only Python's serial line."""
 
     def __init__(self, port: str) -> None:
-        self._line = serial.Serial(port, timeout=5.0)
+        self._line = serial.Serial(port, timeout=600.0)
 
     def ask(self, command: str, answer: bytes) -> None:
         self._line.write(command.encode("ascii") + b"\r")
@@ -126,7 +126,7 @@ def test_any_text_is_a_frame_or_refused(text: str) -> None:
 
 
 def until(reached: Callable[[], bool]) -> None:
-    ends = time.monotonic() + 10.0
+    ends = time.monotonic() + 600.0
     while not reached():
         assert time.monotonic() < ends
         time.sleep(0.01)

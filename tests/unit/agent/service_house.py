@@ -41,7 +41,7 @@ CONFIG = Path(__file__).resolve().parents[3] / "config"
 ALL_GIVEN = dict.fromkeys(Permission, True)
 READY_MACHINE = MachineStatus(MotionState.IDLE, ALL_GIVEN)
 AT_NIGHT = Circumstances(datetime(2026, 11, 21, 2, 0), 600.0)
-PATIENCE_S = 20.0
+PATIENCE_S = 600.0
 
 
 def settings_document(state: Path, **sections: Any) -> dict[str, Any]:

@@ -21,8 +21,6 @@ from twin.uncertainty.random_machines import DEFLECTION_FORMS
 
 MACHINES = 30
 
-pytestmark = pytest.mark.timeout(300)  # on a busy computer
-
 
 def case(machines: int, options: Options | None = None) -> StudyCase:
     return StudyCase(

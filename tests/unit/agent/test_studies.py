@@ -161,7 +161,6 @@ class TestRegistry:
         assert (run.__doc__ or "").strip()
 
 
-@pytest.mark.timeout(300)
 class TestClosedFormAndSimulation:
     """Whole study on a small case with deflection.
 

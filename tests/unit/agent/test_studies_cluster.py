@@ -22,8 +22,6 @@ from agent.studies.cluster import DaskWorkers
 from agent.studies.workers import LocalWorkers
 from drivers.errors import ConfigurationError, InputError, LinkLost, LinkTimeout, VolcalError
 
-pytestmark = pytest.mark.timeout(300)
-
 HERE = str(Path(__file__).parent)
 
 

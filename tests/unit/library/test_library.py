@@ -22,8 +22,6 @@ ROOT = Path(__file__).resolve().parents[3]
 HOW_TO = ROOT / "docs" / "how-to" / "use-volcal-in-a-notebook.md"
 REFERENCE = ROOT / "docs" / "reference" / "python-api.md"
 
-pytestmark = pytest.mark.timeout(300)
-
 
 @pytest.fixture(scope="module")
 def names(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Any]:
