@@ -13,7 +13,7 @@ from httpx import Client
 from agent.errors import Aborted
 from agent.planning.new_machine import controller_setup
 from agent.planning.new_machine.fields import FIELDS, option_texts
-from agent.results import new_machine_files
+from agent.runs import new_machine_files
 from agent.service.daemon.serve_setup import serve_setup
 from agent.service.http.endpoint import HttpServer
 from agent.service.page.setup_app import create_setup_app

@@ -52,12 +52,7 @@ class LiveView:
         key = (run_id, None if run_id else settings.model_dump_json())
         with self._lock:
             if self._cached is None or self._cached[0] != key:
-                self._cached = (
-                    key,
-                    _document_of_run(*current[1:])
-                    if current
-                    else document(preview_of(prepare_job(settings, base), calibration_of)),
-                )
+                self._cached = (key, _document_of_run(*current[1:]) if current else _document_of_next(settings, base))
             return {"run_id": run_id, **self._cached[1]}
 
 
