@@ -283,8 +283,8 @@ def first_failed_gate(fit: SphereFit, probing: ProbingParameters) -> FailedGate 
 
 
 def pole_error_mm(fit: SphereFit, probing: ProbingParameters) -> float | None:
-    """Return the distance in mm of the touch at the pole (the point of the ball that faces the stylus) from the sphere
-    through all other touches; None for the pattern of five touches, one at the pole and four on the equator.
+    """Return the distance in mm of the touch at the pole from the sphere through all other touches; None for the
+    pattern of five touches, one at the pole and four on the equator.
 
     To first order, the distance is the residual of the pole touch divided by its redundancy, which is the fraction of a
     touch's error that appears in its residual. In the pattern of five touches, the four equator touches lie in one

@@ -119,8 +119,8 @@ class RunResources:
 def run_resources(
     state_directory: Path, clock_settings: ClockSettings, run_id: str, hooks: RunHooks
 ) -> Iterator[RunResources]:
-    """Lock the machine, open the journal, and create the clock and the supervisor (receiver of requests to hold or end
-    the run). Release all of them after the `with` block."""
+    """Lock the machine, open the journal, and create the clock and the supervisor. Release all of them after the `with`
+    block."""
     began_s = wall_seconds()
     with (
         hooks.lock(state_directory, run_id),
@@ -134,8 +134,8 @@ def run_resources(
 
 @contextmanager
 def open_rig(context: RunContext) -> Iterator[None]:
-    """Open the rig (all devices of the machine) for the `with` block; during the block the run's supervisor can hold
-    and resume the motion of the machine.
+    """Open the rig for the `with` block; during the block the run's supervisor can hold and resume the motion of the
+    machine.
 
     Errors that occur when the rig is closed are recorded as notes on the run.
     """
@@ -175,7 +175,7 @@ class RunSession:
 
     def plan(self, start: StartConditions) -> PlannedRun:
         """Plan the run from the start conditions `start`, and call the caller's hook `preflight_passed` after the
-        preflight (simulated execution). Raises PlanRefused or UserError if the run is refused."""
+        preflight. Raises PlanRefused or UserError if the run is refused."""
         context = self._context
         planned = self._kind.plan(self._job, start, context.supervisor.check_stop_request)
         context.hooks.preflight_passed(planned.job, planned.preflight)

@@ -89,8 +89,7 @@ def _expected_spread(identification: IdentificationData, accepted: int) -> Array
 
 def draw_qualification(probe: ProbeFacts) -> str:
     """Return an SVG of the stylus qualification with one colour for each latitude on the ball. Points show the
-    residuals of the touches. Lines show the map of the pretravel (travel of the tip between contact and trip), which is
-    subtracted from the touches of the run."""
+    residuals of the touches. Lines show the map of the pretravel, which is subtracted from the touches of the run."""
     drawing = Drawing("qualification", 10.4, 2.4, Margins(right=1.9))
     with drawing as figure:
         panel = figure.subplots()

@@ -1,5 +1,4 @@
-"""Comparison of a machine with the prediction from the last accepted night (the last run whose estimate was accepted as
-the reference), and diagnosis of a change."""
+"""Comparison of a machine with the prediction from the last accepted night, and diagnosis of a change."""
 
 from __future__ import annotations
 
@@ -33,8 +32,7 @@ _LIKELIEST = 5
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """Result of the comparison of a machine with the last accepted night (the last run whose estimate was accepted as
-    the reference).
+    """Result of the comparison of a machine with the last accepted night.
 
     `report` is the result for people and for the journal; its `reason` is empty if everything is within limits. `found`
     contains the statistics on which `report` is based.
@@ -50,8 +48,8 @@ class Judgement:
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """Comparison of the ball centres of one night with their prediction from the last accepted night (the last run
-    whose estimate was accepted as the reference). `nights` is the number of nights between the two."""
+    """Comparison of the ball centres of one night with their prediction from the last accepted night. `nights` is the
+    number of nights between the two."""
 
     job: Job
     reference: ReferenceState
@@ -97,9 +95,9 @@ class Judge:
         """Compare the measured `balls` with their prediction from the last accepted night. All of them must have been
         measured with the active table.
 
-        `held_out` contains the balls among `balls` that were measured in held-out positions (measured, but not used for
-        the estimate). `correction` is the correction that the active table adds to displayed axis positions. Raises
-        MeasurementFault if too few balls were found for a comparison.
+        `held_out` contains the balls among `balls` that were measured in held-out positions. `correction` is the
+        correction that the active table adds to displayed axis positions. Raises MeasurementFault if too few balls were
+        found for a comparison.
         """
         with translated(MeasurementFault):
             observations = observations_of(balls, self.job.tool_offset_mm, correction)

@@ -1,5 +1,4 @@
-"""Plan of a nightly run. It is made, and checked by a preflight (simulated execution of the complete run), before the
-machine moves.
+"""Plan of a nightly run. It is made, and checked by a preflight, before the machine moves.
 
 The positions can be chosen before the night, because the choice depends only on the covariance of the prior, the
 estimate of the last accepted night.
@@ -63,7 +62,7 @@ class NightPlan:
 
 def job_at_station(job: Job, station: int) -> Job:
     """Return `job` with the artefact at `station` and without the reversal check (measurement of lost motion), which
-    would take too long in a slot (machine time available for a night)."""
+    would take too long in a slot."""
     stations = job.settings.stations.model_copy(update={"standing_at": station})
     preparation = replace(job.preparation, reversal=None)
     return replace(job, settings=job.settings.model_copy(update={"stations": stations}), preparation=preparation)
@@ -111,9 +110,9 @@ def night_plan(
     watch: Callable[[], None],
     planner: Callable[[NightPlan], Planner],
 ) -> tuple[NightPlan, PreflightResult]:
-    """Plan as many positions as fit into the slot (machine time available for a night) minus its reserve. Return the
-    plan and its preflight, from which the duration is taken. `planner` returns the function that makes the plan of a
-    night with the given positions. Only the chosen one is walked in every branch.
+    """Plan as many positions as fit into the slot minus its reserve. Return the plan and its preflight, from which the
+    duration is taken. `planner` returns the function that makes the plan of a night with the given positions. Only the
+    chosen one is walked in every branch.
 
     Raises PlanRefused if the slot is too short.
     """

@@ -41,7 +41,7 @@ class PositionChooser:
         return sum(self.feasibility.minutes(position) for position in positions)
 
     def held_out(self, count: int) -> tuple[Position, ...]:
-        """Return held-out positions (measured, but not used for the estimate) at this station.
+        """Return held-out positions at this station.
 
         If the setting `verification.positions_deg` lists orientations, they are the first `count` of these that can be
         measured here. Otherwise, they are the `count` positions whose balls are expected to show the largest error

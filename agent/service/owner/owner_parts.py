@@ -36,7 +36,7 @@ instead.
 
 @dataclass(frozen=True)
 class MachineAccess:
-    """Access to the machine through `devices`, which creates the clock and the rig (all devices of the machine)."""
+    """Access to the machine through `devices`, which creates the clock and the rig."""
 
     devices: Devices = field(default_factory=Devices)
 
@@ -65,7 +65,7 @@ class MachineAccess:
                 rig.close()
 
     def devices_for_run(self, clock_settings: ClockSettings, questions: Questions, *, attended: bool) -> Devices:
-        """Return the devices of one run: its clock and its rig (all devices of the machine).
+        """Return the devices of one run: its clock and its rig.
 
         If the settings let the operator answer at the console, the questions of the run are shown at the endpoints
         instead. The clock is created by this call. Raise ConfigurationError if it cannot be created.

@@ -15,14 +15,6 @@ ROOMS = ("agent", "campaigns", "drivers", "simulators", "twin", "volcal")
 PARENTHESIS = re.compile(r"((?:[\w'`-]+ ){0,3}[\w'`-]+) \(((?:[^()]|\([^()]*\))*)\)")
 REPEATED = 0.6
 """Share of the words of a parenthesis that occur in the glossary's definition, from which it repeats the definition."""
-REWRITTEN = (
-    "agent/runs/calibration.py",
-    "agent/runs/guarded_run.py",
-    "agent/runs/planned_run.py",
-    "agent/runs/session.py",
-    "agent/runs/kinds/",
-)
-"""Modules of the run that are being replaced as a whole; each leaves this list with the replacement."""
 SMALL_WORDS = frozenset(
     re.findall(
         r"\w+",
@@ -82,7 +74,6 @@ def test_no_docstring_repeats_a_definition_of_the_glossary(room: str) -> None:
         for path in sorted((ROOT / room).rglob("*.py"))
         for line, text in docstrings(path)
         for repeated in repeated_definitions(text)
-        if not str(path.relative_to(ROOT)).startswith(REWRITTEN)
     ]
     assert not found, "say the term alone, docs/reference/glossary.md explains it:\n" + "\n".join(found)
 
