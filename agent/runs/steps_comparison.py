@@ -10,6 +10,9 @@ until the temperatures have settled.
 Other steps may be added or left out: paths have as many corners as the found places of the balls require; the tip stays
 on the surface after a touch, or is moved back; the move from the plane in front of a ball to the start of a touch is
 left out if the start lies in that plane.
+
+Positions that a night chooses while it runs are proved then, from where the machine stands (`ProvePlan`); they are not
+part of a branch.
 """
 
 from __future__ import annotations
@@ -41,6 +44,10 @@ VARYING = re.compile(
 """Keys of steps that a run may have or not have, whether they were walked or not."""
 
 
+CHOSEN = (("night/fewer", "further/"), ("night/diagnosis-", "diagnosis/"))
+"""Beginnings of the keys of steps that prove a plan during the run, and of the steps of that plan."""
+
+
 def walked_branch(keys: Sequence[str], branches: Sequence[Branch]) -> Branch | str:
     """Return the first of `branches` that has the steps with the keys `keys`, in the same order, except for steps that
     depend on measured values.
@@ -48,10 +55,12 @@ def walked_branch(keys: Sequence[str], branches: Sequence[Branch]) -> Branch | s
     If there is none, return the key at which the run left all branches: the first one that no branch has there or, if
     the run ended too early, the one that should have followed.
     """
-    best, left = -1, ""
+    best, left, chosen = -1, "", _chosen_in(keys)
     for branch in branches:
         walked = frozenset(branch.keys)
-        taken, theirs = _lasting(keys, walked), _lasting(branch.keys, walked)
+        taken, theirs = (
+            [key for key in _lasting(some, walked) if not key.startswith(chosen)] for some in (keys, branch.keys)
+        )
         if taken == theirs:
             return branch
         common = _common(taken, theirs)
@@ -63,6 +72,12 @@ def walked_branch(keys: Sequence[str], branches: Sequence[Branch]) -> Branch | s
 def _lasting(keys: Sequence[str], walked: Collection[str]) -> list[str]:
     """Return those of `keys` that must be the same in the run and in a branch with the keys `walked`."""
     return [key for key, former in zip(keys, ("", *keys), strict=False) if not _differs(key, former, walked)]
+
+
+def _chosen_in(keys: Sequence[str]) -> tuple[str, ...]:
+    """Return the beginnings of the keys of plans that the run with the steps `keys` has chosen and proved itself."""
+    pairs = [pair for pair in CHOSEN if any(key.startswith(pair[0]) for key in keys)]
+    return tuple(one for pair in pairs for one in pair)
 
 
 def _differs(key: str, former: str, walked: Collection[str]) -> bool:

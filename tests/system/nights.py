@@ -13,15 +13,21 @@ from typing import Any
 
 from simulated import SHORT_SET
 
+from agent.errors import GateRefused
 from agent.execution.device_assembly import Devices, assemble
+from agent.execution.journal_reader import open_journal
 from agent.execution.rig import Rig
 from agent.execution.run_state import Announcement
 from agent.execution.supervisor import Supervisor
+from agent.planning.branch_walk import Branch
+from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
+from agent.planning.preflight import PreflightResult
 from agent.runs.kinds.calibrate import FullCalibration
 from agent.runs.planned_run import Kind
 from agent.runs.run_context import RunHooks
 from agent.runs.session import RunResult, carry_out
+from agent.runs.steps_comparison import walked_branch
 from agent.settings.schema import Settings
 from drivers.clock import Clock, VirtualClock
 from drivers.roles import TableImage
@@ -108,8 +114,16 @@ class Night:
         """Calibrate, or a run of another `kind`; the world of the first run stays the world of the following ones.
         `files`: write results."""
         job = prepare_job(Settings.model_validate(settings), Path.cwd())
-        hooks = replace(self.hooks, attach=interrupts, write_files=files)
-        return carry_out(job, kind or FullCalibration(), Path.cwd(), hooks)
+        walked: list[PreflightResult] = []
+
+        def passed(_: Job, preflight: PreflightResult) -> None:
+            walked.append(preflight)
+
+        hooks = replace(self.hooks, attach=interrupts, write_files=files, preflight_passed=passed)
+        ended = carry_out(job, kind or FullCalibration(), Path.cwd(), hooks)
+        if walked and (ended.error is None or isinstance(ended.error, GateRefused)):
+            assert_walked(job.settings.state_directory, ended.outcome.run_id, walked[0])
+        return ended
 
     @property
     def hooks(self) -> RunHooks:
@@ -154,6 +168,14 @@ class Night:
     def active(self) -> int:
         assert self.world is not None
         return self.world.controller.active_bank
+
+
+def assert_walked(state: Path, run_id: str, preflight: PreflightResult) -> None:
+    """Assert that the steps that a run has carried out are those of one of the branches that its preflight walked."""
+    with open_journal(state) as reader:
+        steps = reader.steps(reader.require_run(run_id).run, procedure_only=True)
+    found = walked_branch([step.key for step in steps], preflight.ends)
+    assert isinstance(found, Branch), f"{found}: no branch has this step there"
 
 
 @dataclass
