@@ -5,7 +5,9 @@
 
 Each plan is drawn with its own seed. The machine (direction of the spindle, kinematic chain and size), probe, artefact,
 mount, stations, positions, procedure and errors are all random. The plan is checked by a preflight (simulated
-execution) and run. Then it is run again with an abort, a hold or an emergency stop at a random instant.
+execution) in every branch and run along a random one of them: the table is written and accepted, restored or kept, or
+the run is refused. The journaled steps must be those of this branch. Then it is run again with an abort, a hold or an
+emergency stop at a random instant.
 
 The first run of every K-th plan is also examined by an independent collision check (`campaigns/plans/judge.py`), where
 K is given by `--judge-every`. This check is itself compared with the simulator on random straight moves among the
