@@ -21,24 +21,6 @@ settings.register_profile("check", parent=settings.get_profile("desk"), derandom
 settings.register_profile("quick", parent=settings.get_profile("check"), max_examples=10)
 settings.load_profile("check" if os.environ.get("CI") else "desk")
 
-
-SHARED = Path("/dev/shm")  # noqa: S108  pytest makes a directory of its own inside
-ROOM_BYTES = 4 << 30
-
-
-def _in_memory() -> bool:
-    """Whether the folders of tests can be in memory: there is room for them, and programs built in them can run."""
-    if not os.access(SHARED, os.W_OK):
-        return False
-    found = os.statvfs(SHARED)
-    return found.f_bavail * found.f_frsize >= ROOM_BYTES and not found.f_flag & os.ST_NOEXEC
-
-
-# A run commits 18,000 times, and each waits for the disk; tests of durability kill processes, never the computer.
-if _in_memory():
-    os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(SHARED))
-
-
 SLOW = Path(__file__).with_name("slow.txt")
 LONG = Path(__file__).with_name("long_files.txt")
 

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Protocol, TypeVar
 
 from agent.errors import GateRefused, PlacementLost
-from agent.execution.steps import STEPS_WITH_EFFECT, Decide, Fork, Plan, RunPlan, Step
+from agent.execution.steps import STEPS_WITH_EFFECT, Conclude, Decide, Enter, Fork, Plan, RunPlan, Step
 from drivers.errors import NotActiveYet, VolcalError
 
 T = TypeVar("T")
@@ -105,7 +105,8 @@ class Engine:
             conclusion: T = stop.value
             return conclusion
         except VolcalError as error:
-            if step is not None:
+            # A refusal is a decision of the run, and an error after a conclusion or a state belongs to no step.
+            if step is not None and not isinstance(error, GateRefused) and not isinstance(step, (Enter, Conclude)):
                 error.at(step=step.key)
             raise
         finally:
@@ -127,6 +128,8 @@ class Engine:
     def _do(self, step: Step) -> Any:
         try:
             return self._actions[type(step)](step)
+        except GateRefused:
+            raise
         except VolcalError as error:
             raise error.at(step=step.key) from error.__cause__
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from agent.errors import JournalFailed
 from agent.execution.journal import RunJournal
 from agent.execution.states import FINAL, RunState, may_follow
 
@@ -49,12 +50,17 @@ class RunStateTracker:
         """
         if not may_follow(self.state, state):
             raise ValueError(f"no change from {self.state.value} to {state.value}")
-        self.state = state
+        former, self.state = self.state, state
         if self._replayed and self._replayed[0] is state:
             self._replayed.popleft()
             self._silent = True
             return
-        self._announce(reason)
+        try:
+            self._announce(reason)
+        except JournalFailed:
+            if state in (RunState.COMPLETE, RunState.REFUSED):
+                self.state = former  # the end is not recorded, so the run can still be ended safely
+            raise
 
     def announce_again(self) -> None:
         """Announce the current state of a resumed run if it has not been announced yet. A resumed run first replays its

@@ -35,7 +35,7 @@ def _ignore_step(_: s.Step, __: object) -> None: ...
 def _permit(_: Job, __: PreflightResult) -> None: ...
 
 
-def _no_answers(_: RunStateTracker) -> Mapping[type, Action]:
+def _no_answers(_: Mapping[type, Action]) -> Mapping[type, Action]:
     return {}
 
 
@@ -48,8 +48,9 @@ class RunHooks:
     job that will be measured and the result of its preflight; it may raise an error to refuse the run. `lock` prevents
     other processes from using the machine. `devices` creates the clock and the rig. `reports` renders the report of the
     run. If `write_files` is True, the results are also written to files; they are in the journal in any case. `answers`
-    receives the tracker of the run's state and returns actions that replace those of the run, by type of step.
-    Campaigns use it to choose the way of a run, and to carry out the motions of a run without its computations.
+    receives the actions of the steps of the run, by type of step, and returns actions that replace some of them.
+    Campaigns use it to choose the way of a run, to interrupt its steps, and to carry out its motions without its
+    computations.
     """
 
     announce: Listener = _ignore_announcement
@@ -60,7 +61,7 @@ class RunHooks:
     devices: Devices = field(default_factory=Devices)
     reports: ReportRenderer = render_in_process
     write_files: bool = True
-    answers: Callable[[RunStateTracker], Mapping[type, Action]] = _no_answers
+    answers: Callable[[Mapping[type, Action]], Mapping[type, Action]] = _no_answers
 
 
 @dataclass(frozen=True)
@@ -93,11 +94,11 @@ def run_actions(
         x, y, z = rig.machine.position().tolist()
         return step.prove((x, y, z), supervisor.check_stop_request)
 
-    return {
+    actions: dict[type, Action] = {
         **rig.actions(journal.run),
         s.Enter: lambda step: tracker.enter(step.state, step.reason()),
         s.Conclude: conclude,
         s.Decide: lambda step: step.choose(),
         s.ProvePlan: prove,
-        **hooks.answers(tracker),
     }
+    return {**actions, **hooks.answers(actions)}

@@ -10,8 +10,8 @@ end.
 
 The kinds of interruption are: an abort by request, a permanent loss of the link, a single failure of the link, a fault
 of the machine, a refused command, a guarded move that trips, a full disk, an operator who declines, and a software
-defect. An interruption happens before the step, in the middle of its motion, or after its effect but before the effect
-is journaled.
+defect. Computations, decisions and changes of the state are steps too. An interruption happens before the step, in the
+middle of its motion, or after its effect but before the effect is journaled.
 
 `--every K` selects each K-th step. Steps near those that read, write or activate tables are always selected. The exit
 code is 0 only if the former table is active after every interruption. There is one exception: after a permanent loss of

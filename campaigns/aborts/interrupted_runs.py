@@ -118,7 +118,7 @@ def _carry_out(interrupter: Interrupter, directory: Path, **sections: dict[str, 
     devices = Devices(
         lambda _, clock, __: interrupter.rig(build_rig(interrupter.world, clock, job)), lambda _: interrupter.clock
     )
-    hooks = RunHooks(attach=keep, devices=devices, write_files=False)
+    hooks = RunHooks(attach=keep, devices=devices, write_files=False, answers=interrupter.answers)
     return carry_out(job, FullCalibration(), SHIPPED_CONFIGURATION, hooks)
 
 

@@ -7,7 +7,7 @@ journal of the run.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -101,17 +101,20 @@ class Interrupter:
     key: str = ""
 
     def rig(self, whole: Rig) -> Rig:
-        """Return a rig that is equal to `whole` except for two things.
-
-        The device of the returned rig is reached through a `BreakableLink`, and all actions of the rig are carried out
-        by `Interrupter.perform`.
-        """
+        """Return a rig that is equal to `whole`, except that its device is
+        reached through a `BreakableLink`."""
         [(name, device)] = whole.devices.items()
         self.link = BreakableLink(device)
-        roles = dict.fromkeys(("machine", "probe", "store", "thermometer", "operator"), self.link)
-        given = {field.name: getattr(whole, field.name) for field in dataclasses.fields(whole) if field.init}
-        given |= {"devices": {name: self.link}, "mounts": dict.fromkeys(whole.mounts, self.link), **roles}
-        return InterruptibleRig(self, given)
+        roles: dict[str, Any] = dict.fromkeys(("machine", "probe", "store", "thermometer", "operator"), self.link)
+        mounts: Any = dict.fromkeys(whole.mounts, self.link)
+        return dataclasses.replace(whole, devices={name: self.link}, mounts=mounts, **roles)
+
+    def answers(self, actions: Mapping[type, Action]) -> Mapping[type, Action]:
+        """Return `actions`, all carried out by `perform`."""
+        return {kind: self._breakable(action) for kind, action in actions.items()}
+
+    def _breakable(self, action: Action) -> Action:
+        return lambda step: self.perform(action, step)
 
     def perform(self, action: Action, step: s.Step) -> Any:
         """Perform `step` with `action`, the function that normally carries it out, and return the result.
@@ -171,17 +174,3 @@ class Interrupter:
                 raise Aborted("the operator said no")
             case "defect":
                 raise ZeroDivisionError("a defect of ours")
-
-
-class InterruptibleRig(Rig):
-    """Rig whose actions are all carried out by `Interrupter.perform`."""
-
-    def __init__(self, interrupter: Interrupter, given: dict[str, Any]) -> None:
-        super().__init__(**given)
-        self._interrupter = interrupter
-
-    def actions(self, *given: Any, **named: Any) -> dict[type, Action]:
-        return {kind: self._breakable(action) for kind, action in super().actions(*given, **named).items()}
-
-    def _breakable(self, action: Action) -> Action:
-        return lambda step: self._interrupter.perform(action, step)

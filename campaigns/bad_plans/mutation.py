@@ -13,7 +13,7 @@ from typing import Any
 from agent.planning.case_file import CASE_STUDY
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
-from agent.planning.preflight import run_preflight
+from agent.runs.kinds.calibrate import preflight_of
 from agent.settings.load import load_settings
 from campaigns.plans.random_cases import toml
 from drivers.errors import VolcalError
@@ -53,7 +53,7 @@ class BadPlan:
     error: type[VolcalError]
     words: tuple[str, ...] = ()
     where: Mapping[str, str] | None = None
-    preflight: Callable[[Job], object] = run_preflight
+    preflight: Callable[[Job], object] = preflight_of
 
     def complaint(self, directory: Path) -> str:
         """Check this plan with files in `directory`, and return an empty string if it is refused for the right reason.

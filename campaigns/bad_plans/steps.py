@@ -1,4 +1,4 @@
-"""Bad plans with correct files and wrong steps.
+"""Bad plans (plans that the agent must refuse) with correct files and wrong steps.
 
 In each plan one step of the agent's procedure is replaced or omitted, or a further step is inserted before it.
 """
@@ -15,8 +15,9 @@ import numpy as np
 from agent.errors import PlanRefused
 from agent.execution import steps as s
 from agent.planning.job import Job
-from agent.planning.preflight import run_preflight, whole_procedure
-from agent.probing.run_plan import MeasuredPositions
+from agent.planning.preflight import run_preflight
+from agent.probing.run_plan import VERIFIED
+from agent.runs.kinds.calibrate import calibration_of
 from campaigns.bad_plans.mutation import BadPlan, unchanged
 from drivers.errors import ConfigurationError
 from drivers.roles import TableImage
@@ -26,32 +27,43 @@ Rewrite = Callable[[s.Step], Iterable[s.Step] | None]
 
 The procedure receives the result of the last replacing step.
 """
-Both = tuple[MeasuredPositions, MeasuredPositions]
 
 BEYOND_MM = 1.0
 TABLE = TableImage((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1e-4, np.zeros((2, 2, 2, 3), dtype=np.int32))
 
 
-def rewrite_plan(plan: s.Plan[Both], rewrite: Rewrite) -> s.Plan[Both]:
+def rewrite_plan(plan: s.RunPlan, rewrite: Rewrite) -> s.RunPlan:
+    """Return a plan with the steps of `plan`, and of the ways on from its decisions, replaced as `rewrite` says."""
     result: Any = None
     while True:
         try:
             step = plan.send(result)
         except StopIteration as stop:
-            both: Both = stop.value
-            return both
+            return _rewrite_ways(stop.value, rewrite)
         instead = rewrite(step)
         for one in (step,) if instead is None else instead:
             result = yield one
 
 
-def replace_first(
-    matches: Callable[[s.Step], bool], instead: Callable[[s.Step], Iterable[s.Step]]
-) -> Callable[[Job], object]:
-    """Return a function that runs the preflight of a job with one step of its procedure replaced.
+def _rewrite_ways(fork: s.Fork | None, rewrite: Rewrite) -> s.Fork | None:
+    if fork is None:
+        return None
+    ways = {name: lambda way=way: rewrite_plan(way(), rewrite) for name, way in fork.ways.items()}
+    return replace(fork, ways=ways)
 
-    The first step for which `matches` returns True is replaced by the steps that `instead` returns. The returned
-    function raises LookupError if no step matches.
+
+def replace_first(
+    matches: Callable[[s.Step], bool],
+    instead: Callable[[s.Step], Iterable[s.Step]],
+    *,
+    every_branch: bool = False,
+) -> Callable[[Job], object]:
+    """Return a function that runs the preflight of the calibration of a job with one step of its
+    plan replaced.
+
+    The first step for which `matches` returns True is replaced by the steps that `instead` returns. If `every_branch`
+    is True, all branches of the plan are executed, not only the expected one. The returned function raises LookupError
+    if no step matches.
     """
 
     def preflight(job: Job) -> object:
@@ -63,7 +75,9 @@ def replace_first(
             done.append(step.key)
             return instead(step)
 
-        result = run_preflight(job, procedure=lambda prepared: rewrite_plan(whole_procedure(prepared), rewrite))
+        result = run_preflight(
+            job, lambda prepared: rewrite_plan(calibration_of(prepared), rewrite), every_branch=every_branch
+        )
         return result if done else _never_came()
 
     return preflight
@@ -266,6 +280,18 @@ def _out_of_place() -> list[BadPlan]:
             replace_first(is_touch, before(s.ActivateBank("mutated/bank", 1))),
             "must not write",
         ),
+        refused_plan(
+            "written while verifying",
+            replace_first(_verifies, before(s.StageTable("mutated/stage", 1, TABLE))),
+            "must not write",
+            step="mutated/stage",
+        ),
+        refused_plan(
+            "unguarded where the former table is restored",
+            replace_first(_restores, before(move_to(700.0, 0.0, 750.0, guarded=False)), every_branch=True),
+            "unguarded",
+            step="mutated/move",
+        ),
         BadPlan("steps: nothing proved", unchanged, ConfigurationError, ("could not be proved",), None, _unproved),
     ]
 
@@ -288,12 +314,20 @@ def _near(step: s.Step) -> bool:
     return isinstance(step, s.MoveTo) and "/touch-1" in step.key
 
 
-def _unproved(job: Job) -> object:
-    def procedure(prepared: Job) -> s.Plan[Both]:
-        measured, verified = yield from whole_procedure(prepared)
-        return measured, replace(verified, positions=())
+def _verifies(step: s.Step) -> bool:
+    return is_touch(step) and step.key.startswith("verify/")
 
-    return run_preflight(job, procedure=procedure)
+
+def _restores(step: s.Step) -> bool:
+    return step.key == "restore/activate"
+
+
+_unproved = replace_first(lambda step: step.key == VERIFIED, lambda step: (_without_positions(step),))
+
+
+def _without_positions(step: s.Step) -> s.Step:
+    assert isinstance(step, s.Conclude)
+    return replace(step, stand_in=replace(step.stand_in, positions=()))
 
 
 def step_plans() -> list[BadPlan]:

@@ -4,13 +4,15 @@
     python -m campaigns.plans --only 123        # repeat one plan and print its result
 
 Each plan is drawn with its own seed. The machine (direction of the spindle, kinematic chain and size), probe, artefact,
-mount, stations, positions, procedure and errors are all random. The plan is checked by a preflight and run. Then it is
-run again with an abort, a hold or an emergency stop at a random instant.
+mount, stations, positions, procedure and errors are all random. The plan is checked by a preflight in every branch and
+run along a random one of them: the table is written and accepted, restored or kept, or the run is refused. The
+journaled steps must be those of this branch. Then it is run again with an abort, a hold or an emergency stop at a
+random instant.
 
-The first run of every K-th plan is also examined by an independent collision check (`collision_check.py`), where K is
-given by `--judge-every`. This check is itself compared with the simulator on random straight moves among the bodies on
-the table. The exit code is 0 only if there was no collision or other failure, and if the check always agreed with the
-simulator.
+The first run of every K-th plan is also examined by an independent collision check (`campaigns/plans/judge.py`), where
+K is given by `--judge-every`. This check is itself compared with the simulator on random straight moves among the
+bodies on the table. The exit code is 0 only if there was no collision or other failure, and if the check always agreed
+with the simulator.
 """
 
 from __future__ import annotations

@@ -1,49 +1,81 @@
-"""Run kind with all motions and measurements of a calibration, but without identification and without
-writing a table.
+"""Kind of run with all motions and measurements of a calibration, but without identification. The run follows a random
+branch of its plan.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from itertools import count
 
-from agent.runs.guarded_run import GuardedRun
+import numpy as np
 
-from agent.execution.states import RunState
+from agent.errors import GateRefused
+from agent.execution import steps as s
+from agent.execution.engine import Action
+from agent.planning.branch_walk import Branch
 from agent.planning.job import Job
-from agent.planning.preflight import PreflightResult, run_preflight, whole_procedure
+from agent.planning.preflight import PreflightResult, run_preflight
+from agent.planning.stand_ins import stand_in_answers
+from agent.runs.kinds.calibration import CalibrationTask, calibration
 from agent.runs.planned_run import PlannedRun, StartConditions
 from drivers.clock import VirtualClock
 
-
-class MotionOnlyRun(GuardedRun):
-    """Run of all motions and measurements of a calibration, without identification and without writing a table. It
-    begins with the check of permissions and ends like every other run.
-    """
-
-    def _work(self) -> None:
-        self._begin()
-        self.progress.measured, self.progress.verified = self._engine.run(whole_procedure(self._job))
-        self._tracker.enter(RunState.IDENTIFYING)
-        self._tracker.enter(RunState.COMPLETE)
+REFUSED = "refused"
+"""Key of the conclusion that refuses a run."""
+BRANCH_STREAM = 3
+"""Number of the random stream from which the branch is drawn."""
 
 
 @dataclass
-class MotionOnlyKind:
-    """Run kind whose preflight is computed once, from the position at which the first run starts.
+class CalibrationWithoutIdentification:
+    """Kind of run with the plan of a full calibration. The branch that it follows is drawn with `seed` from those that
+    the preflight walked; conclusions are answered by stand-ins.
 
-    A second run of the same plan uses the same preflight and must therefore start at the same position.
+    The preflight is computed once, from the position at which the first run starts. A
+    second run of the same plan uses the same preflight and must therefore start at the same position.
     """
 
+    seed: int
     name: str = "moving"
 
     def __post_init__(self) -> None:
         self.preflight: PreflightResult | None = None
 
     def plan(self, job: Job, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
+        task = CalibrationTask(job, start.store)
         if self.preflight is None:
-            self.preflight = run_preflight(job, start.start_mm)
-        return PlannedRun(job, self, start, self.preflight, lambda context: MotionOnlyRun(job, context))
+            self.preflight = run_preflight(job, lambda _: calibration(task), start.start_mm, watch)
+        return PlannedRun(job, self, start, self.preflight, lambda: calibration(task))
+
+    @property
+    def branch(self) -> Branch:
+        """Branch that the run follows; it is known after the preflight."""
+        assert self.preflight is not None
+        ends = self.preflight.ends
+        return ends[int(np.random.default_rng([self.seed, BRANCH_STREAM]).integers(len(ends)))]
+
+    def answers(self, actions: Mapping[type, Action]) -> Mapping[type, Action]:
+        """Return the actions of the steps that depend on an identification, for one run. `actions` are the usual
+        ones."""
+        number = count()
+
+        def decide(step: s.Decide) -> str:
+            way = self.branch.ways[next(number)]
+            assert way in step.outcomes, f"{step.key} has no way {way!r}"
+            return way
+
+        return {
+            **stand_in_answers(lambda step: actions[s.Enter](replace(step, reason=str))),
+            s.Conclude: _stand_in,
+            s.Decide: decide,
+        }
+
+
+def _stand_in(step: s.Conclude) -> object:
+    if step.key == REFUSED:
+        raise GateRefused("the drawn branch ends refused")
+    return step.stand_in
 
 
 class AlarmClock(VirtualClock):

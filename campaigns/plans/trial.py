@@ -1,4 +1,6 @@
-"""Trial of one random plan: a preflight, a run on a machine with errors, and a second run that is interrupted."""
+"""Trial of one random plan: a preflight, a run on a machine with errors, and a second run that is
+interrupted.
+"""
 
 from __future__ import annotations
 
@@ -9,22 +11,25 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
 
-from agent.errors import PlanRefused
+from agent.errors import GateRefused, PlanRefused
 from agent.execution.device_assembly import Devices
+from agent.execution.journal_reader import open_journal
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
 from agent.runs.run_context import RunHooks
 from agent.runs.session import RunResult, carry_out
+from agent.runs.steps_comparison import walked_branch
 from benchmarks.places import memory_directory
 from campaigns.nights.play import build_rig
 from campaigns.plans.collision_check import CollisionJudge, JudgeResult
-from campaigns.plans.motion_run import AlarmClock, MotionOnlyKind
+from campaigns.plans.motion_run import AlarmClock, CalibrationWithoutIdentification
 from campaigns.plans.random_cases import DrawnCase, draw
 from drivers.errors import UserError, VolcalError
 from simulators.world.world import World
 
 HOLD_S = 3.0
 POSITION_TOLERANCE_MM = 0.01
+REGULAR_ENDS = (RunState.COMPLETE, RunState.REFUSED)
 
 
 @dataclass
@@ -33,14 +38,15 @@ class PlanTrial:
 
     `spindle` is the direction of the stylus, such as `-Z`; it is empty if the agent refused the files of the case.
     `refused` is the reason if the agent refused the plan before any motion. `stopped` is the reason if the first run
-    moved but ended with an error. `failures` lists the violated conditions. `seen` is the result of the independent
-    collision check, or None if the plan was not checked.
+    moved but ended with an error. `branch` names the branch of the plan that the runs follow. `failures` lists the
+    violated conditions. `seen` is the result of the independent collision check, or None if the plan was not checked.
     """
 
     seed: int
     spindle: str = ""
     refused: str = ""
     stopped: str = ""
+    branch: str = ""
     failures: list[str] = field(default_factory=list)
     commands: int = 0
     machine_minutes: float = 0.0
@@ -50,8 +56,8 @@ class PlanTrial:
 
 
 def try_plan(seed: int, *, judged: bool = False) -> PlanTrial:
-    """Carry out the preflight and both runs, one undisturbed and one interrupted, of the random plan that `seed` gives,
-    and return the result.
+    """Carry out the preflight and both runs, one undisturbed and one interrupted, of the random
+    plan that `seed` gives, and return the result.
 
     The function never raises an exception: a refusal is a regular result, and a defect is recorded as a failure.
     """
@@ -60,7 +66,7 @@ def try_plan(seed: int, *, judged: bool = False) -> PlanTrial:
         try:
             drawn = draw(seed, Path(directory))
             trial.spindle = drawn.spindle.name
-            kind = MotionOnlyKind()
+            kind = CalibrationWithoutIdentification(seed)
             _run(trial, drawn, kind, judged)
             if not (trial.refused or trial.stopped):
                 _interrupted(trial, drawn, kind)
@@ -72,7 +78,7 @@ def try_plan(seed: int, *, judged: bool = False) -> PlanTrial:
     return trial
 
 
-def _run(trial: PlanTrial, drawn: DrawnCase, kind: MotionOnlyKind, judged: bool) -> None:
+def _run(trial: PlanTrial, drawn: DrawnCase, kind: CalibrationWithoutIdentification, judged: bool) -> None:
     world, clock = World(drawn.scenario), AlarmClock()
     judge = CollisionJudge(world, drawn.job) if judged else None
     clock.watch = judge.watch if judge else None
@@ -81,20 +87,21 @@ def _run(trial: PlanTrial, drawn: DrawnCase, kind: MotionOnlyKind, judged: bool)
         trial.refused = reason_of(ended.error)
         return
     if kind.preflight is not None:
-        trial.commands, trial.machine_minutes = kind.preflight.commands, kind.preflight.machine_minutes
-    if ended.error is not None:
+        trial.commands, trial.machine_minutes = len(kind.branch.keys), kind.branch.machine_minutes
+        trial.branch = kind.branch.name
+    if ended.error is not None and not isinstance(ended.error, GateRefused):
         trial.stopped = reason_of(ended.error)
     _judge_world(trial, "run", world)
+    _judge_steps(trial, "run", drawn, kind, ended)
     if judge is not None:
         trial.seen = judge.seen()
         trial.failures += [f"run, judged: {text}" for text in trial.seen.collisions]
 
 
-def _interrupted(trial: PlanTrial, drawn: DrawnCase, kind: MotionOnlyKind) -> None:
+def _interrupted(trial: PlanTrial, drawn: DrawnCase, kind: CalibrationWithoutIdentification) -> None:
     """Run the plan again and interrupt it; the withdrawal must end at the retreat plane."""
-    assert kind.preflight is not None
     world, clock = World(drawn.scenario), AlarmClock()
-    instant_s = drawn.at_share * kind.preflight.machine_seconds
+    instant_s = drawn.at_share * kind.branch.machine_seconds
     trial.interruption = drawn.interruption
 
     def prepare(supervisor: Supervisor) -> None:
@@ -108,9 +115,10 @@ def _interrupted(trial: PlanTrial, drawn: DrawnCase, kind: MotionOnlyKind) -> No
 
     ended = _carry_out(drawn, kind, world, clock, prepare)
     _judge_world(trial, drawn.interruption, world)
+    _judge_steps(trial, drawn.interruption, drawn, kind, ended)
     state = ended.outcome.state
-    expected = {"abort": (RunState.ABORTED,), "hold": (RunState.COMPLETE,), "fault": (RunState.FAULTED,)}
-    if state not in (*expected[drawn.interruption], RunState.COMPLETE):
+    expected = {"abort": (RunState.ABORTED,), "hold": (), "fault": (RunState.FAULTED,)}
+    if state not in (*expected[drawn.interruption], *REGULAR_ENDS):
         trial.failures.append(f"{drawn.interruption}: ended {state.value}: {ended.error}")
     limits, axis = world.controller.limits(), drawn.spindle.axis
     plane_mm = (limits.lower_mm if drawn.spindle.sign > 0 else limits.upper_mm)[axis]
@@ -127,11 +135,30 @@ def _judge_world(trial: PlanTrial, what: str, world: World) -> None:
         trial.failures.append(f"{what}: left {world.controller.motion.value}")
 
 
+def _judge_steps(
+    trial: PlanTrial, what: str, drawn: DrawnCase, kind: CalibrationWithoutIdentification, ended: RunResult
+) -> None:
+    """Compare the journaled steps of a run that reached its end with the branch that it had to follow."""
+    if kind.preflight is None or ended.outcome.state not in REGULAR_ENDS:
+        return
+    with open_journal(drawn.job.settings.state_directory) as reader:
+        run = reader.require_run(ended.outcome.run_id).run
+        keys = [step.key for step in reader.steps(run, procedure_only=True)]
+    walked = walked_branch(keys, [kind.branch])
+    if isinstance(walked, str):
+        trial.failures.append(f"{what}: the preflight did not walk {walked} ({kind.branch.name})")
+
+
 def _carry_out(
-    drawn: DrawnCase, kind: MotionOnlyKind, world: World, clock: AlarmClock, prepare: Callable[[Supervisor], None]
+    drawn: DrawnCase,
+    kind: CalibrationWithoutIdentification,
+    world: World,
+    clock: AlarmClock,
+    prepare: Callable[[Supervisor], None],
 ) -> RunResult:
     devices = Devices(lambda _, watched, __: build_rig(world, watched, drawn.job), lambda _: clock)
-    return carry_out(drawn.job, kind, Path("/"), RunHooks(attach=prepare, devices=devices, write_files=False))
+    hooks = RunHooks(attach=prepare, devices=devices, write_files=False, answers=kind.answers)
+    return carry_out(drawn.job, kind, Path("/"), hooks)
 
 
 def reason_of(error: VolcalError) -> str:
@@ -153,6 +180,7 @@ def summarise(trials: list[PlanTrial]) -> dict[str, object]:
         "refused": dict(Counter(trial.refused for trial in trials if trial.refused).most_common()),
         "stopped": dict(Counter(trial.stopped for trial in accepted if trial.stopped).most_common()),
         "completed": sum(not trial.stopped for trial in accepted),
+        "branches": dict(sorted(Counter(trial.branch for trial in accepted).items())),
         "interrupted": dict(Counter(trial.interruption for trial in accepted if trial.interruption)),
         "failed_seeds": [trial.seed for trial in trials if trial.failures],
         "judged": len(seen),

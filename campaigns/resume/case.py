@@ -146,12 +146,14 @@ def cache_preflight() -> None:
     """
     done: dict[Any, Any] = {}
 
-    def once(job: Job, start_mm: Any = None, procedure: Any = None, watch: Any = never_interrupted) -> Any:
+    def once(
+        job: Job, plan_of: Any, start_mm: Any = None, watch: Any = never_interrupted, *, every_branch: bool = True
+    ) -> Any:
         if start_mm not in done:
-            done[start_mm] = run_preflight(job, start_mm, procedure, watch)
+            done[start_mm] = run_preflight(job, plan_of, start_mm, watch, every_branch=every_branch)
         return done[start_mm]
 
-    agent.runs.kinds.calibrate.run_preflight = once  # type: ignore[attr-defined,assignment]
+    agent.runs.kinds.calibrate.run_preflight = once  # type: ignore[attr-defined]
 
 
 @dataclass

@@ -30,6 +30,8 @@ def test_random_plans_end_without_a_collision_and_most_are_accepted() -> None:
     assert result["accepted"] + sum(result["refused"].values()) == COUNT
     assert result["completed"] >= 0.9 * result["accepted"]
     assert sum(result["interrupted"].values()) == result["completed"]
+    ends = {branch.rpartition(", ")[2] for branch in result["branches"]}
+    assert {"accepted", "former table restored", "table confirmed", "refused"} == ends
     assert result["judged"] >= 2
     assert result["judged_collisions"] == 0
     assert result["judge_collisions"] > 0, "the judge must have seen collisions to be believed"

@@ -15,11 +15,13 @@ from agent.execution import steps as s
 from agent.execution.device_assembly import assemble
 from agent.execution.engine import Engine
 from agent.execution.rig import Rig
+from agent.planning.cycle_time import expected_plan
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
-from agent.planning.preflight import whole_procedure
+from agent.planning.stand_ins import stand_in_answers
 from agent.probing.recovery import withdraw
-from agent.probing.run_plan import MeasuredPositions
+from agent.probing.run_plan import MEASURED, VERIFIED, MeasuredPositions
+from agent.runs.kinds.calibrate import calibration_of
 from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
 from drivers.errors import GuardTripped
@@ -49,7 +51,7 @@ class Interrupted:
 
     def actions(self) -> dict[type, Any]:
         watched = dict.fromkeys((s.MoveTo, s.TouchTowards, s.OrientTo), self._watched)
-        return {**self._actions, **watched}
+        return {**self._actions, **stand_in_answers(), **watched}
 
     def _watched(self, step: Any) -> Any:
         self._count += 1
@@ -108,9 +110,15 @@ def test_from_every_step_the_exit_path_is_free(state: Path, paths: str) -> None:
     rig = assemble(job.settings, VirtualClock(), Path.cwd())
     rig.open()
     interrupted = Interrupted(job, rig)
-    measured, _ = Engine(interrupted.actions()).run(whole_procedure(job))
-    assert isinstance(measured, MeasuredPositions)
-    assert len(measured.positions) == 4
+    measured: dict[str, MeasuredPositions] = {}
+
+    def observe(step: s.Step, result: object) -> None:
+        if isinstance(result, MeasuredPositions):
+            measured[step.key] = result
+
+    Engine(interrupted.actions(), observer=observe).run(expected_plan(calibration_of(job)))
+    assert len(measured[MEASURED].positions) == 4
+    assert len(measured[VERIFIED].positions) == 1
     device = rig.devices["twin"]
     assert isinstance(device, SimulatedMachineDevice)
     assert device.world.collisions == []

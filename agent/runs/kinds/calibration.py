@@ -233,6 +233,7 @@ def _asked(
     gates: Callable[[], Sequence[Gate]],
     after_proof: AfterProof,
 ) -> RunPlan:
+    yield Conclude("consent/gates", lambda: CheckedGates(tuple(gates())))
     request = yield Conclude("consent/question", lambda: consent_request(gates()), consent_request(()))
     yield AskOperator("consent/change", request)
     return (yield from _passed(task, ready, estimation, measured, gates, after_proof))

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from agent.runs.guarded_run import GuardedRun
 
 from agent.errors import Aborted, GateRefused, Interrupted, JournalFailed, MeasurementFault, PlanDiverged
 from agent.execution.engine import Engine
@@ -18,17 +17,24 @@ from agent.execution.steps import (
     ActivateBank,
     AwaitActive,
     CheckPermissions,
+    Conclude,
+    Enter,
     MoveTo,
+    Plan,
     ReadActiveBank,
     ReadPosition,
     ReadTable,
     Record,
     ResetFault,
+    RunPlan,
 )
 from agent.execution.supervisor import Supervisor
 from agent.execution.tip_trace import LastMotion
 from agent.probing.paths.retreat import Retreat
-from agent.runs.run_context import RunContext, RunHooks
+from agent.runs.guard import carry_out_guarded
+from agent.runs.kinds.run_parts import found_compensation
+from agent.runs.run_context import RunContext, RunHooks, run_actions
+from agent.runs.run_results import BankInUse, RunResults
 from drivers.clock import VirtualClock
 from drivers.errors import DeadlineExpired, DeviceError, LinkLost, MotionFault, PermissionMissing, VolcalError
 from drivers.roles import Activation, StoreLimits, TableImage
@@ -59,7 +65,7 @@ class FakeMachine:
             store_limits=lambda: StoreLimits((1, 2), (8, 8, 8), 512, 1e-4, 0.2, self.activation)
         )
 
-    def actions(self) -> dict[type, Callable[[Any], Any]]:
+    def actions(self, _: int) -> dict[type, Callable[[Any], Any]]:
         does: dict[type, Callable[[Any], Any]] = {
             MoveTo: self._move,
             ReadPosition: lambda _: self.position,
@@ -102,6 +108,8 @@ class FakeMachine:
 class FakeJournal:
     """Journal that stores states, decisions and tables. `full`: the disk is full."""
 
+    run = 1
+
     def __init__(self) -> None:
         self.full = False
         self.states: list[tuple[RunState, str]] = []
@@ -137,68 +145,87 @@ class FakeJournal:
         self.tables.append((role, bank))
 
 
-class Run(GuardedRun):
-    """Run that reads the active compensation, then calls the function of the test."""
+class Run:
+    """Run whose plan reads the active compensation, then goes on with the plan `rest` of the test."""
 
-    def __init__(self, machine: FakeMachine, journal: FakeJournal, work: Callable[[Run], None]) -> None:
+    def __init__(self, machine: FakeMachine, journal: FakeJournal, rest: Callable[[Run], Plan[None]]) -> None:
         rig: Any = machine
         recorder: Any = journal
-        clock = VirtualClock()
-        self.supervisor = Supervisor(clock)
-        engine = Engine(machine.actions(), journal)
+        clock, hooks = VirtualClock(), RunHooks()
+        self.supervisor, self.results = Supervisor(clock), RunResults()
         tracker = RunStateTracker(recorder, lambda _: None)
-        super().__init__(JOB, RunContext(rig, engine, recorder, tracker, self.supervisor, clock, RunHooks()))
-        self._then = work
-        self._machine = machine
+        actions = run_actions(rig, recorder, tracker, self.supervisor, hooks)
+        engine = Engine(actions, journal, self.results.observe)
+        self._context = RunContext(rig, engine, recorder, tracker, self.supervisor, clock, hooks)
+        self._rest = rest
         tracker.enter(RunState.PREFLIGHT)
 
-    def _work(self) -> None:
-        self._begin()
-        self._then(self)
+    def carry_out(self) -> None:
+        carry_out_guarded(self._plan(), JOB, self._context, self.results)
 
-    def write(self) -> None:
-        """Return a function with the effect of staging and activating a new table."""
-        for state in (RunState.IDENTIFYING, RunState.STAGING, RunState.ACTIVATING):
-            self._tracker.enter(state)
-        self._machine.active = self.progress.active_bank = NEW
+    def _plan(self) -> RunPlan:
+        yield from found_compensation()
+        yield from self._rest(self)
+        return None
 
 
-def raising(error: BaseException, *, written: bool = False) -> Callable[[Run], None]:
-    def work(run: Run) -> None:
-        if written:
-            run.write()
+def nothing_more(_: Run) -> Plan[None]:
+    yield from ()
+
+
+def written() -> Plan[None]:
+    """Activate a new table, as the plan of a calibration does."""
+    for state in (RunState.IDENTIFYING, RunState.STAGING, RunState.ACTIVATING):
+        yield Enter(f"state/{state.value}", state)
+    yield Conclude("publish/bank", lambda: BankInUse(NEW))
+    yield ActivateBank("activate/activate", NEW)
+
+
+def raising(error: BaseException, *, written_before: bool = False, in_step: bool = True) -> Callable[[Run], Plan[None]]:
+    """Return a plan in which a step raises `error`, or which raises it itself."""
+
+    def fail() -> None:
         raise error
 
-    return work
+    def rest(_: Run) -> Plan[None]:
+        if written_before:
+            yield from written()
+        if in_step:
+            yield Conclude("fails", fail)
+        fail()
+
+    return rest
 
 
 def ended(
-    work: Callable[[Run], None], machine: FakeMachine | None = None, journal: FakeJournal | None = None
+    rest: Callable[[Run], Plan[None]], machine: FakeMachine | None = None, journal: FakeJournal | None = None
 ) -> tuple[Run, FakeMachine, FakeJournal]:
     machine, journal = machine or FakeMachine(), journal or FakeJournal()
-    run = Run(machine, journal, work)
+    run = Run(machine, journal, rest)
     run.carry_out()
     return run, machine, journal
 
 
 def test_a_run_that_ends_well_is_left_alone() -> None:
-    run, machine, journal = ended(lambda _: None)
-    assert run.progress.error is None
-    assert run.progress.found is not None
-    assert (run.progress.found.bank, run.progress.active_bank) == (FOUND, FOUND)
+    run, machine, journal = ended(nothing_more)
+    assert run.results.error is None
+    assert run.results.found is not None
+    assert (run.results.found.bank, run.results.active_bank) == (FOUND, FOUND)
     assert machine.stopped == 0
     assert journal.tables == [("backup", FOUND)]
 
 
-def test_a_refusal_of_a_gate_is_not_a_fault() -> None:
+@pytest.mark.parametrize("in_step", [True, False])
+def test_a_refusal_of_a_gate_is_not_a_fault(in_step: bool) -> None:
     refusal = GateRefused("no table was written: gate fit")
-    run, machine, journal = ended(raising(refusal))
-    assert run.progress.error is refusal
+    run, machine, journal = ended(raising(refusal, in_step=in_step))
+    assert run.results.error is refusal
     assert journal.decisions == ["refused"]
     assert journal.states[-1] == (RunState.REFUSED, str(refusal))
     assert machine.stopped == 0
 
 
+@pytest.mark.parametrize("in_step", [True, False])
 @pytest.mark.parametrize(
     ("error", "state"),
     [
@@ -208,21 +235,37 @@ def test_a_refusal_of_a_gate_is_not_a_fault() -> None:
         (MotionFault("following error"), RunState.FAULTED),
     ],
 )
-def test_the_machine_is_stopped_withdrawn_and_restored(error: VolcalError, state: RunState) -> None:
-    run, machine, journal = ended(raising(error, written=True))
-    assert run.progress.error is error
+def test_the_machine_is_stopped_withdrawn_and_restored(error: VolcalError, state: RunState, in_step: bool) -> None:
+    run, machine, journal = ended(raising(error, written_before=True, in_step=in_step))
+    assert run.results.error is error
     assert (machine.stopped, machine.stood_still) == (1, 1)
     # 10 mm back along the stylus (+Y) from y = 30, then to the retreat plane at y = -50.
     assert machine.targets == [(100.0, 20.0, 200.0), (100.0, RETREAT_Y_MM, 200.0)]
-    assert machine.active == run.progress.active_bank == FOUND
+    assert machine.active == run.results.active_bank == FOUND
     assert journal.tables == [("backup", FOUND), ("restored", FOUND)]
     assert [one for one, _ in journal.states[-2:]] == [RunState.ABORTING, state]
     assert str(error) in journal.states[-1][1]
 
 
 def test_the_fault_of_the_controller_is_cleared_before_the_bank_is_activated() -> None:
-    _, machine, _ = ended(raising(MotionFault("limit switch"), written=True))
+    _, machine, _ = ended(raising(MotionFault("limit switch"), written_before=True))
     assert machine.steps.index("restore/reset") < machine.steps.index("restore/activate")
+
+
+def test_a_bank_whose_activation_fails_may_be_active_and_is_restored(monkeypatch: pytest.MonkeyPatch) -> None:
+    machine = FakeMachine()
+    activate = machine._activate
+
+    def activate_and_fail(step: ActivateBank) -> None:
+        activate(step)
+        if step.bank == NEW:
+            raise DeviceError("no answer")
+
+    monkeypatch.setattr(machine, "_activate", activate_and_fail)
+    run, _, journal = ended(lambda _: written(), machine)
+    assert isinstance(run.results.error, DeviceError)
+    assert machine.active == run.results.active_bank == FOUND
+    assert journal.tables == [("backup", FOUND), ("restored", FOUND)]
 
 
 def test_without_a_written_table_no_bank_is_touched() -> None:
@@ -233,7 +276,7 @@ def test_without_a_written_table_no_bank_is_touched() -> None:
 
 @pytest.mark.parametrize("error", [LinkLost("connection reset"), PlanDiverged("step 5 differs")])
 def test_nothing_moves_without_a_link_or_with_a_plan_that_diverged(error: VolcalError) -> None:
-    _, machine, journal = ended(raising(error, written=True))
+    _, machine, journal = ended(raising(error, written_before=True))
     assert machine.targets == []
     assert machine.stopped == 1
     assert machine.active == FOUND
@@ -241,14 +284,14 @@ def test_nothing_moves_without_a_link_or_with_a_plan_that_diverged(error: Volcal
 
 
 def test_the_exit_path_is_not_interrupted_by_another_abort() -> None:
-    def work(run: Run) -> None:
-        run.write()
+    def rest(run: Run) -> Plan[None]:
+        yield from written()
         run.supervisor.request_abort("panel")
-        run.supervisor.check()
+        yield Conclude("next", run.supervisor.check)
 
-    run, machine, journal = ended(work)
+    run, machine, journal = ended(rest)
     run.supervisor.check()  # the request still stands, but the run is shielded
-    assert isinstance(run.progress.error, Aborted)
+    assert isinstance(run.results.error, Aborted)
     assert machine.active == FOUND
     assert journal.states[-1][0] is RunState.ABORTED
 
@@ -257,27 +300,33 @@ def test_the_bank_is_restored_although_the_probe_cannot_be_withdrawn() -> None:
     machine = FakeMachine()
     machine.failing[CheckPermissions] = PermissionMissing("doors open")
     machine.complaints = ["axis drive: no answer"]
-    _, _, journal = ended(raising(Aborted("aborted: page"), written=True), machine)
+    _, _, journal = ended(raising(Aborted("aborted: page"), written_before=True), machine)
     assert machine.targets == []
     assert machine.active == FOUND
     state, reason = journal.states[-1]
     assert state is RunState.ABORTED
-    assert reason.startswith("aborted: page; axis drive: no answer; could not withdraw the probe: doors open")
+    beginning = "aborted: page (step fails); axis drive: no answer; could not withdraw the probe: doors open"
+    assert reason.startswith(beginning)
 
 
 def test_axes_that_do_not_stand_still_are_reported() -> None:
     machine = FakeMachine()
     machine.failing[DeadlineExpired] = DeadlineExpired("standstill after a stop")
-    _, _, journal = ended(raising(MotionFault("following error"), written=True), machine)
+    _, _, journal = ended(raising(MotionFault("following error"), written_before=True), machine)
     assert "could not bring the axes to a standstill: standstill after a stop" in journal.states[-1][1]
     assert machine.active == FOUND
 
 
 def test_an_abort_that_leaves_the_table_active_is_a_fault_that_names_the_bank() -> None:
     machine = FakeMachine()
-    machine.failing[ActivateBank] = DeviceError("bank 1 is locked")
-    run, _, journal = ended(raising(Aborted("aborted: panel"), written=True), machine)
-    assert machine.active == run.progress.active_bank == NEW
+
+    def rest(_: Run) -> Plan[None]:
+        yield from written()
+        machine.failing[ActivateBank] = DeviceError("bank 1 is locked")
+        raise Aborted("aborted: panel")
+
+    run, _, journal = ended(rest, machine)
+    assert machine.active == run.results.active_bank == NEW
     state, reason = journal.states[-1]
     assert state is RunState.FAULTED
     assert "bank 1 could not be made active again: bank 1 is locked" in reason
@@ -294,7 +343,7 @@ def test_an_abort_that_leaves_the_table_active_is_a_fault_that_names_the_bank() 
 def test_a_restored_bank_is_awaited_until_the_controller_activates_it(
     activation: Activation, between: list[str]
 ) -> None:
-    _, machine, _ = ended(raising(MotionFault("limit"), written=True), FakeMachine(activation))
+    _, machine, _ = ended(raising(MotionFault("limit"), written_before=True), FakeMachine(activation))
     first = machine.steps.index("restore/activate")
     expected = ["restore/activate", *between, "restore/active-bank", "restore/activated"]
     assert machine.steps[first:] == expected
@@ -303,15 +352,15 @@ def test_a_restored_bank_is_awaited_until_the_controller_activates_it(
 def test_with_a_full_disk_the_probe_is_withdrawn_and_the_bank_restored() -> None:
     journal = FakeJournal()
 
-    def work(run: Run) -> None:
-        run.write()
+    def rest(_: Run) -> Plan[None]:
+        yield from written()
         journal.full = True
-        raise JournalFailed("the journal cannot be written: no space left")
+        yield MoveTo("next", (0.0, 0.0, 0.0))
 
-    run, machine, _ = ended(work, journal=journal)
-    assert isinstance(run.progress.error, JournalFailed)
+    run, machine, _ = ended(rest, journal=journal)
+    assert isinstance(run.results.error, JournalFailed)
     assert machine.position == (100.0, RETREAT_Y_MM, 200.0)
-    assert machine.active == run.progress.active_bank == FOUND
+    assert machine.active == run.results.active_bank == FOUND
     assert journal.tables == [("backup", FOUND)]
 
 
@@ -325,13 +374,15 @@ def test_the_bank_is_restored_although_the_disk_fills_on_the_exit_path(monkeypat
         return does()
 
     monkeypatch.setattr(machine, "stop", stop)
-    run, _, _ = ended(raising(MotionFault("limit"), written=True), machine, journal)
-    assert machine.active == run.progress.active_bank == FOUND
+    run, _, _ = ended(raising(MotionFault("limit"), written_before=True), machine, journal)
+    assert machine.active == run.results.active_bank == FOUND
 
 
-def test_a_defect_is_raised_after_the_machine_is_as_it_was_found() -> None:
+@pytest.mark.parametrize("in_step", [True, False])
+def test_a_defect_is_raised_after_the_machine_is_as_it_was_found(in_step: bool) -> None:
     machine, journal = FakeMachine(), FakeJournal()
-    run = Run(machine, journal, raising(ZeroDivisionError("division by zero"), written=True))
+    defect = ZeroDivisionError("division by zero")
+    run = Run(machine, journal, raising(defect, written_before=True, in_step=in_step))
     with pytest.raises(ZeroDivisionError):
         run.carry_out()
     assert machine.active == FOUND

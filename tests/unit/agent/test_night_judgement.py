@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from agent.errors import GateRefused, MeasurementFault
+from agent.errors import GateRefused, MeasurementFault, PlanRefused
+from agent.execution.engine import Engine
 from agent.execution.run_state import RunStateTracker
 from agent.execution.states import RunState
-from agent.execution.steps import MoveTo
+from agent.execution.steps import Dwell, MoveTo, Plan, ReadActiveBank, ReadClock, ReadTable, RunPlan
+from agent.execution.supervisor import Supervisor
+from agent.planning.stand_ins import USUAL_STORE
+from agent.probing.run_plan import MeasuredPositions, MeasuringOrder
 from agent.results.run_outcome import Decision, NightReport
 from agent.runs.kinds import drift_check, nightly
 from agent.runs.kinds.drift_check import Judge, Judgement, with_fit
-from agent.runs.kinds.full_calibration import Slot
 from agent.runs.kinds.night_plan import NightPlan
-from agent.runs.kinds.nightly import NightlyRun
-from agent.runs.run_context import RunContext, RunHooks
+from agent.runs.kinds.nightly import NightTask, night
+from agent.runs.kinds.run_parts import PreparedRun
+from agent.runs.kinds.slot import Slot, too_late
+from agent.runs.run_context import RunHooks, run_actions
+from agent.runs.run_results import RunResults
 from agent.settings.schema import NightlySettings
 from drivers.clock import VirtualClock
 from twin.artefact.position_set import Position
@@ -159,7 +166,13 @@ TIMELINE = {"look/a": 120.0, "look/b": 300.0, "further/a": 480.0, "further/b": 6
 WHOLE_S = 840.0
 
 
+TIMETABLE: Any = SimpleNamespace(timeline=TIMELINE, machine_seconds=WHOLE_S)
+WHOLE_JOB: Any = "the whole job"
+
+
 class Journal:
+    run = 1
+
     def __init__(self) -> None:
         self.decisions: list[tuple[str, Any]] = []
 
@@ -168,14 +181,29 @@ class Journal:
 
     def state(self, *_: object, final: bool = False) -> None: ...
 
+    def table(self, *_: object) -> None: ...
+
+
+@dataclass(frozen=True)
+class StubJob:
+    """Job of which only the positions count."""
+
+    positions: tuple[Position, ...] = ()
+    layout: Any = None
+
 
 def report(reason: str = "") -> NightReport:
     decision = Decision.OUT if reason else Decision.WITHIN
     return NightReport(decision, "run-7", 1.0, 1, 3, reason=reason)
 
 
-class Night(NightlyRun):
-    """Night whose measurements take the given minutes and have the given verdicts, and which records its actions."""
+class Night:
+    """Night whose measurements take the given minutes and have the given verdicts, and which records its actions.
+
+    No compensation is active. `accepted`: the checksum of the table accepted in the last night. `suspected`: positions
+    that discriminate between the suspected errors. `proved`: what was proved before it was measured. `full_minutes` and
+    `other_minutes`: the times that a preflight finds for a full calibration and for other plans.
+    """
 
     def __init__(
         self,
@@ -186,65 +214,126 @@ class Night(NightlyRun):
         full_allowed: bool = False,
         minutes: float = 5.0,
         full_minutes: float = 100.0,
+        other_minutes: Callable[[int], float] = float,
+        suspected: tuple[Position, ...] = (),
+        accepted: int = 0,
     ) -> None:
-        self.clock, self.journal = VirtualClock(), Journal()
+        self.clock, self.journal, self.results = VirtualClock(), Journal(), RunResults()
+        self.clock.sleep(1000.0)  # the slot begins with the night, whatever the clock shows
         self.verdicts, self.minutes, self.full_minutes = list(verdicts), minutes, full_minutes
+        self.other_minutes = other_minutes
         self.done: list[tuple[str, tuple[Position, ...]]] = []
+        self.proved: list[tuple[str, tuple[Position, ...]]] = []
+        self.judged: list[tuple[str, ...]] = []
+        self.calibrated: list[tuple[Any, NightReport]] = []
         self.fused: NightReport | None = None
-        journal: Any = self.journal
-        tracker = RunStateTracker(journal, lambda _: None)
-        for state in (RunState.PREFLIGHT, RunState.MEASURING):
-            tracker.enter(state)
-        job: Any = SimpleNamespace()
-        judge: Any = SimpleNamespace(reference=SimpleNamespace(), nights=1.0, job=None, prior=None)
+        reference = SimpleNamespace(run_id="run-7", table=SimpleNamespace(crc32=accepted))
+        judge: Any = SimpleNamespace(reference=reference, nights=1.0, job=None, prior=None)
         chooser: Any = SimpleNamespace(
-            minutes=lambda positions: 2.0 * len(positions), discriminating=lambda *_, **__: ()
+            minutes=lambda positions: 2.0 * len(positions), discriminating=lambda *_, **__: suspected
         )
-        preflight: Any = SimpleNamespace(timeline=TIMELINE, machine_seconds=WHOLE_S)
-        context: Any = RunContext(None, None, journal, tracker, None, self.clock, RunHooks())  # type: ignore[arg-type]
-        super().__init__(job, context, judge, PLAN, chooser, preflight, Slot(slot_minutes, full_allowed, reserve))
+        job: Any = StubJob()
+        self.task = NightTask(job, judge, PLAN, chooser, Slot(slot_minutes, full_allowed, reserve), USUAL_STORE)
+        self.tracker = RunStateTracker(self.recorder, lambda _: None)
 
-    def _begin(self) -> Any: ...
+    @property
+    def recorder(self) -> Any:
+        return self.journal
 
-    def _prepare_probe(self) -> Any: ...
+    def work(self) -> None:
+        """Carry out the plan of the night, with the actions of a run."""
+        actions = {
+            ReadClock: lambda _: self.clock.now(),
+            Dwell: lambda step: self.clock.sleep(step.duration_s),
+            ReadActiveBank: lambda _: 0,
+            ReadTable: lambda _: None,
+        }
+        machine = SimpleNamespace(position=lambda: np.array([1.0, 2.0, 3.0]))
+        rig: Any = SimpleNamespace(actions=lambda _: actions, machine=machine)
+        supervisor = Supervisor(self.clock)
+        carried_out = run_actions(rig, self.recorder, self.tracker, supervisor, RunHooks())
+        self.tracker.enter(RunState.PREFLIGHT)
+        Engine(carried_out, None, self.results.observe).carry_out(night(self.task, lambda: TIMETABLE))
 
-    def _measure(self, prefix: str, positions: Sequence[Position], before: Any = None) -> Any:
-        self.clock.sleep(60.0 * self.minutes)
-        self.done.append((prefix, tuple(positions)))
-        return prefix
+    def stubs(self) -> Mapping[str, Any]:
+        """Return what replaces measurements and computations in the module of the night."""
+        return {
+            "check_measurement": self._check,
+            "measure_positions": self._measure,
+            "judge_measurement": self._judge,
+            "run_preflight": self._prove,
+            "calibrated_in_full": self._calibrate,
+            "job_at_station": lambda *_: WHOLE_JOB,
+            "_fused": self._fuse,
+        }
 
-    def _judged(self, measured: Any) -> Judgement:
-        reason = self.verdicts.pop(0) if self.verdicts else ""
+    def _check(self, job: Any, plan: NightPlan, found: Any) -> Plan[tuple[PreparedRun, MeasuredPositions]]:
+        prepared: Any = SimpleNamespace(rules=None)
+        measured = yield from self._measure(plan.order("look", plan.first), None, None, None)
+        return PreparedRun(job, found, prepared), measured
+
+    def _measure(self, order: MeasuringOrder, _: Any, __: Any, ___: Any) -> Plan[MeasuredPositions]:
+        yield Dwell(f"{order.prefix}/measured", 60.0 * self.minutes)
+        self.done.append((order.prefix, order.positions))
+        return MeasuredPositions((), (order.prefix,), 0, order.standing_at, {})
+
+    def _judge(self, _: Judge, plan: NightPlan, job: Any, measured: MeasuredPositions, __: Any) -> Judgement:
+        self.judged.append(measured.left_out)
         found: Any = StubInnovation(1.0, [])
-        self.progress.night = report(reason)
-        return Judgement(self.progress.night, found)
+        return Judgement(report(self.verdicts.pop(0) if self.verdicts else ""), found)
 
-    def _minutes_of(self, job: Any, procedure: Any = None) -> float:
-        return self.full_minutes
+    def _prove(
+        self, job: Any, plan_of: Callable[[Any], RunPlan], at_mm: Any, watch: Any, *, every_branch: bool
+    ) -> SimpleNamespace:
+        """Walk the plan, which measures nothing yet. That of a full calibration consists of stand-ins and is not
+        walked."""
+        assert at_mm == (1.0, 2.0, 3.0)
+        watch()
+        if job is WHOLE_JOB:
+            return SimpleNamespace(machine_minutes=self.full_minutes)
+        done = len(self.done)
+        for step in plan_of(job):
+            assert isinstance(step, Dwell)
+        [(prefix, positions)] = self.done[done:]
+        del self.done[done:]
+        self.proved.append((prefix, positions))
+        return SimpleNamespace(machine_minutes=self.other_minutes(len(positions)))
 
-    def _fuse(self, measured: Any, report: NightReport) -> None:
-        self.fused = report
+    def _calibrate(self, job: Any, _: Any, __: Any, ___: Any, station: int, told: Callable[[], NightReport]) -> RunPlan:
+        yield Dwell("full/calibrated", 60.0)
+        assert station == PLAN.station
+        self.calibrated.append((job, told()))
+        return None
 
-    def later(self, minutes: float) -> Night:
-        self.clock.sleep(60.0 * minutes)
-        return self
+    def _fuse(self, _: Any, measured: Any, judgement: Callable[[], Judgement]) -> RunPlan:
+        yield from ()
+        self.fused = judgement().report
+        return None
 
 
-@pytest.fixture(autouse=True)
-def _elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The table that is active is the accepted one; measurements and jobs are names."""
-    monkeypatch.setattr(nightly, "require_table_of", lambda *_: None)
-    monkeypatch.setattr(nightly, "join_measured", lambda first, second: f"{first}+{second}")
-    monkeypatch.setattr(nightly, "positions_in", lambda _: ())
-    monkeypatch.setattr(nightly, "job_at_station", lambda *_: "the whole job")
+@pytest.fixture
+def carried_out(monkeypatch: pytest.MonkeyPatch) -> Callable[[Night], Night]:
+    """Carry out a night. Only its measurements and computations are replaced, none of its decisions."""
+
+    def carry_out(one: Night) -> Night:
+        for name, stub in one.stubs().items():
+            monkeypatch.setattr(nightly, name, stub)
+        one.work()
+        return one
+
+    return carry_out
+
+
+Carried = Callable[[Night], Night]
 
 
 class TestSlot:
-    def test_a_night_within_limits_uses_the_rest_of_its_slot(self) -> None:
-        night = Night()
-        night._work()
-        assert night.done == [("look", (*HELD, *CHECKED)), ("further", FURTHER)]
-        assert night.fused is not None
+    def test_a_night_within_limits_uses_the_rest_of_its_slot(self, carried_out: Carried) -> None:
+        one = carried_out(Night())
+        assert one.done == [("look", (*HELD, *CHECKED)), ("further", FURTHER)]
+        assert one.judged == [("look",), ("look", "further")]
+        assert one.proved == []  # the preflight of the night has walked it
+        assert one.fused is not None
 
     @pytest.mark.parametrize(
         ("slot_minutes", "count"),
@@ -252,32 +341,42 @@ class TestSlot:
         [(14.5, 3), (14.4, 2), (12.5, 2), (12.4, 1), (10.5, 1), (10.4, 0)],
     )
     def test_positions_that_no_longer_fit_are_left_out_with_the_last_first(
-        self, slot_minutes: float, count: int
+        self, carried_out: Carried, slot_minutes: float, count: int
     ) -> None:
-        night = Night(slot_minutes=slot_minutes)
-        night._work()
-        further = [positions for prefix, positions in night.done if prefix == "further"]
+        one = carried_out(Night(slot_minutes=slot_minutes))
+        further = [positions for prefix, positions in one.done if prefix == "further"]
         assert further == ([FURTHER[:count]] if count else [])
-        assert night.fused is not None
+        assert one.fused is not None
+        # A plan that is not that of the preflight is proved before it is carried out.
+        assert one.proved == ([("further", FURTHER[:count])] if 0 < count < len(FURTHER) else [])
 
-    def test_out_of_limits_after_the_further_positions_counts_too(self) -> None:
-        night = Night(["", "χ² 3.00"])
+    def test_out_of_limits_after_the_further_positions_counts_too(self, carried_out: Carried) -> None:
+        one = Night(["", "χ² 3.00"])
         with pytest.raises(GateRefused, match=r"χ² 3\.00"):
-            night._work()
-        assert [prefix for prefix, _ in night.done] == ["look", "further"]
-        assert night.fused is None
+            carried_out(one)
+        assert [prefix for prefix, _ in one.done] == ["look", "further"]
+        assert one.fused is None
+
+    def test_nothing_is_measured_with_another_table_than_the_accepted_one(self, carried_out: Carried) -> None:
+        one = Night(accepted=7)
+        with pytest.raises(GateRefused, match="does not hold the table accepted in run run-7"):
+            carried_out(one)
+        assert one.done == []
 
 
 class TestOutOfLimits:
-    def test_a_full_calibration_is_asked_for_and_recorded(self) -> None:
-        night = Night(["EXX changed"])
+    def test_a_full_calibration_is_asked_for_and_recorded(self, carried_out: Carried) -> None:
+        one = Night(["EXX changed"])
         with pytest.raises(GateRefused, match="a full calibration is needed: EXX changed"):
-            night._work()
-        assert [prefix for prefix, _ in night.done] == ["look"]
-        (first, record), (second, needed) = night.journal.decisions
+            carried_out(one)
+        assert [prefix for prefix, _ in one.done] == ["look"]
+        (first, record), (second, needed) = one.journal.decisions
         assert (first, record["decision"], record["reason"]) == ("night", "full calibration needed", "EXX changed")
         assert needed == {"reason": "EXX changed"}
         assert second != first
+        assert one.results.night is not None
+        assert one.results.night.decision is Decision.FULL_NEEDED
+        assert one.tracker.state is RunState.IDENTIFYING
 
     @pytest.mark.parametrize(
         ("full_allowed", "full_minutes", "done"),
@@ -285,20 +384,40 @@ class TestOutOfLimits:
         [(True, 9.5, True), (True, 9.6, False), (False, 1.0, False)],
     )
     def test_a_full_calibration_needs_consent_and_time(
-        self, monkeypatch: pytest.MonkeyPatch, full_allowed: bool, full_minutes: float, done: bool
+        self, carried_out: Carried, full_allowed: bool, full_minutes: float, done: bool
     ) -> None:
-        calibrated: list[Any] = []
-        monkeypatch.setattr(nightly, "calibrate_in_full", lambda *arguments: calibrated.append(arguments))
-        night = Night(["VE has grown"], full_allowed=full_allowed, full_minutes=full_minutes)
+        one = Night(["VE has grown"], full_allowed=full_allowed, full_minutes=full_minutes)
         if done:
-            night._work()
-            [(_, full, _, _, told)] = calibrated
-            assert full == "the whole job"
-            assert told.decision is Decision.FULL_DONE
+            carried_out(one)
+            [(full, told)] = one.calibrated
+            assert full is WHOLE_JOB
+            assert (told.decision, told.reason) == (Decision.FULL_DONE, "VE has grown")
+            assert one.journal.decisions == []
         else:
             with pytest.raises(GateRefused):
-                night._work()
-            assert calibrated == []
+                carried_out(one)
+            assert one.calibrated == []
+
+    @pytest.mark.parametrize(
+        ("minutes_each", "count"),
+        # 9.5 min are left; positions that do not fit are left out with the last first.
+        [(3.0, 3), (3.2, 2), (9.5, 1), (9.6, 0)],
+    )
+    def test_a_diagnosis_uses_the_rest_of_the_slot(self, carried_out: Carried, minutes_each: float, count: int) -> None:
+        one = Night(["EXX or EYX"], suspected=FURTHER, other_minutes=lambda number: minutes_each * number)
+        with pytest.raises(GateRefused, match="EXX or EYX"):
+            carried_out(one)
+        diagnosed = [positions for prefix, positions in one.done if prefix == "diagnosis"]
+        assert diagnosed == ([FURTHER[:count]] if count else [])
+        assert [len(positions) for _, positions in one.proved] == list(range(3, max(count, 1) - 1, -1))
+        # The second look finds nothing; the reason of the first one stays.
+        assert one.results.night is not None
+        assert (one.results.night.decision, one.results.night.reason) == (Decision.FULL_NEEDED, "EXX or EYX")
+
+
+def later(passed_minutes: float, following: str) -> PlanRefused | None:
+    slot = Slot(15.0, full_allowed=False, reserve=0.5)
+    return too_late(slot, TIMETABLE, MoveTo(following, (0.0, 0.0, 0.0)), passed_minutes)
 
 
 class TestResumedNight:
@@ -306,18 +425,16 @@ class TestResumedNight:
 
     @pytest.mark.parametrize(("passed", "late"), [(0.0, False), (11.5, False), (11.6, True), (14.6, True)])
     def test_the_rest_of_the_check_must_fit_into_the_slot(self, passed: float, late: bool) -> None:
-        refusal = Night().later(passed).too_late(MoveTo("look/a", (0.0, 0.0, 0.0)))
-        assert (refusal is not None) is late
+        assert (later(passed, "look/a") is not None) is late
 
     @pytest.mark.parametrize(("passed", "late"), [(14.4, False), (14.5, True), (20.0, True)])
     def test_after_the_check_any_time_left_will_do(self, passed: float, late: bool) -> None:
-        refusal = Night().later(passed).too_late(MoveTo("further/a", (0.0, 0.0, 0.0)))
-        assert (refusal is not None) is late
+        assert (later(passed, "further/a") is not None) is late
 
     def test_the_refusal_says_how_much_is_missing(self) -> None:
-        refusal = Night().later(12.5).too_late(MoveTo("look/a", (0.0, 0.0, 0.0)))
+        refusal = later(12.5, "look/a")
         assert "2.0 min are left of its slot of 15 min" in str(refusal)
         assert "needs 3.0 min more" in str(refusal)
 
     def test_a_step_that_was_not_planned_needs_no_time(self) -> None:
-        assert Night().later(14.0).too_late(MoveTo("recover/here", (0.0, 0.0, 0.0))) is None
+        assert later(14.0, "recover/here") is None

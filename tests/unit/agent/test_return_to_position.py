@@ -17,6 +17,7 @@ from agent.execution.steps import (
     AwaitActive,
     CheckPermissions,
     CheckProbe,
+    Decide,
     MoveTo,
     Plan,
     ReadActiveBank,
@@ -34,6 +35,7 @@ from agent.probing.paths.retreat import Retreat
 from agent.runs.resume.replay_clock import ResumedClock
 from agent.runs.resume.return_to_position import ReturnToPosition, reactivation
 from agent.runs.resume.step_trace import StepTrace
+from agent.runs.run_results import RunResults
 from drivers.clock import VirtualClock
 from drivers.roles import Activation, MachineStatus, MotionState, TableImage
 
@@ -237,9 +239,15 @@ RULES = SimpleNamespace(
 
 
 class Return:
-    """Return with everything that it uses. The run had moved to (10, 40, 20) and then to (110, 40, 20)."""
+    """Return with everything that it uses. The run had moved to (10, 40, 20) and then to (110, 40, 20). It began at
+    40 s, its last step ended at 100 s, and it goes on at 160 s."""
 
-    def __init__(self, store: Store | None = None, refusal: PlanRefused | None = None) -> None:
+    def __init__(
+        self,
+        store: Store | None = None,
+        refusal: PlanRefused | None = None,
+        activation: Activation = Activation.IMMEDIATE,
+    ) -> None:
         self.machine, self.tracker = Machine((90.0, 40.0, 20.0)), Tracker()
         self.clock = ResumedClock(VirtualClock(), 100.0)
         trace = StepTrace(active_bank=1)
@@ -247,10 +255,20 @@ class Return:
         trace.add(MoveTo("one", (10.0, 40.0, 20.0)), None)
         trace.add(MoveTo("two", (110.0, 40.0, 20.0)), None)
         self.trace = trace
-        run: Any = SimpleNamespace(activation=Activation.IMMEDIATE, rules=RULES, too_late=lambda _: refusal)
+        self.asked: list[tuple[Step, float]] = []
+
+        def too_late(following: Step, passed_minutes: float) -> PlanRefused | None:
+            self.asked.append((following, passed_minutes))
+            return refusal
+
+        start = SimpleNamespace(store=SimpleNamespace(activation=activation))
+        planned: Any = SimpleNamespace(job=SimpleNamespace(rules=RULES), start=start, too_late=too_late)
+        self.results = RunResults()
         engine = self.machine.engine(store or Store(1, {1: OLD}))
         context: Any = SimpleNamespace(rig=self.machine, tracker=self.tracker, engine=engine, journal=None)
-        self.returning = ReturnToPosition("resume-1", run, context, trace, self.clock, 160.0)
+        self.returning = ReturnToPosition(
+            "resume-1", planned, self.results, context, trace, self.clock, begun_s=40.0, time_s=160.0
+        )
 
 
 def test_the_tip_is_withdrawn_and_brought_to_where_the_next_step_began() -> None:
@@ -305,6 +323,37 @@ def test_nothing_moves_if_it_is_too_late() -> None:
         one.returning.before(MOVE)
     assert caught.value is refusal
     assert one.machine.targets == []
+
+
+def test_the_time_of_the_interruption_counts() -> None:
+    one = Return()
+    one.returning.before(MOVE)
+    # From 40 s, where the run began, to 160 s, where it goes on.
+    assert one.asked == [(MOVE, 2.0)]
+
+
+def test_the_compensation_is_activated_in_the_way_of_the_controller() -> None:
+    one = Return(Store(0, {1: OLD}), activation=Activation.RESET)
+    one.returning.before(MOVE)
+    assert "resume-1/compensation/reset-to-take-effect" in one.machine.log
+
+
+def test_a_decision_needs_the_compensation_and_no_motion() -> None:
+    store = Store(0, {1: OLD})
+    one = Return(store)
+    one.returning.before(Decide("prove/verdict", ("accepted", "restored"), lambda: "accepted"))
+    assert store.active == 1
+    assert one.machine.targets == []
+    assert not one.returning.complete
+
+
+def test_the_tip_is_withdrawn_by_the_rules_of_the_qualified_stylus() -> None:
+    one = Return()
+    probing = SimpleNamespace(stylus_axis=(0.0, 1.0, 0.0), retract_mm=7.0)
+    prepared: Any = SimpleNamespace(rules=SimpleNamespace(**{**vars(RULES), "probing": probing}))
+    one.results.prepared = prepared
+    one.returning.before(MOVE)
+    assert one.machine.targets[1] == (93.0, 33.0, 20.0)
 
 
 def test_machine_time_continues_no_earlier_than_the_run_was_interrupted() -> None:
