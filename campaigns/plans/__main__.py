@@ -9,10 +9,10 @@ run along a random one of them: the table is written and accepted, restored or k
 journaled steps must be those of this branch. Then it is run again with an abort, a hold or an emergency stop at a
 random instant.
 
-The first run of every K-th plan is also examined by an independent collision check (`campaigns/plans/judge.py`), where
-K is given by `--judge-every`. This check is itself compared with the simulator on random straight moves among the
-bodies on the table. The exit code is 0 only if there was no collision or other failure, and if the check always agreed
-with the simulator.
+The first run of every K-th plan is also examined by an independent collision check
+(`campaigns/plans/collision_check.py`), where K is given by `--judge-every`. This check is itself compared with the
+simulator on random straight moves among the bodies on the table. The exit code is 0 only if there was no collision or
+other failure, and if the check always agreed with the simulator.
 """
 
 from __future__ import annotations
