@@ -70,6 +70,11 @@ class PreflightResult:
         return self.machine_seconds / S_PER_MIN
 
     @property
+    def longest_minutes(self) -> float:
+        """Machine time in min of the longest branch in which the run reaches an end of its own."""
+        return max(branch.machine_minutes for branch in self.ends)
+
+    @property
     def commands(self) -> int:
         return len(self.timeline)
 

@@ -11,6 +11,8 @@ Other steps may be added or left out: paths have as many corners as the found pl
 on the surface after a touch, or is moved back; the move from the plane in front of a ball to the start of a touch is
 left out if the start lies in that plane.
 
+An artefact that is placed by hand is asked for again until it stands where it should, and is searched where it stands.
+
 Positions that a night chooses while it runs are proved then, from where the machine stands (`ProvePlan`); they are not
 part of a branch.
 """
@@ -38,6 +40,7 @@ VARYING = re.compile(
     /(via|away|out)-\d+$       # corners of a path
     | /touch-\d+/back$         # move off the surface after a touch
     | /off$                    # the same before the probe is withdrawn
+    | /place-\d+/              # search for an artefact that a person has placed, and repeated requests to place it
     """,
     re.VERBOSE,
 )

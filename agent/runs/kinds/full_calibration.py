@@ -59,7 +59,7 @@ class PendingCalibration:
             return pending_calibration(self, start.store)
 
         preflight = run_preflight(self.here, lambda _: procedure(), start.start_mm, watch)
-        if not self.slot.holds(preflight.machine_minutes):
+        if not self.slot.holds(preflight.longest_minutes):
             return None
         return PlannedRun(self.here, self.kind, start, preflight, procedure)
 

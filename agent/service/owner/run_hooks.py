@@ -73,7 +73,7 @@ class RunHooksFactory:
 def require_within(preflight: PreflightResult, slot_minutes: float | None) -> None:
     """Raise PlanRefused if the run takes longer than `slot_minutes`, the available machine time in min. If
     `slot_minutes` is None, there is no limit."""
-    needed = preflight.machine_minutes
+    needed = preflight.longest_minutes
     if slot_minutes is not None and needed > slot_minutes:
         raise PlanRefused(
             f"the run takes {needed:.0f} min of machine time, {slot_minutes:.0f} min are available",
