@@ -154,6 +154,7 @@ def test_a_table_is_written_read_activated_and_asked_for_in_this_order(nights: T
     writing = nights.stored(nights.first).steps_of("StageTable", "ReadTable", "ActivateBank", "ReadActiveBank")
     assert [step.key for step in writing] == [
         "before/active-bank",
+        "before/active-table",
         "publish/stage",
         "publish/read-back",
         "activate/activate",

@@ -179,7 +179,7 @@ def test_bodies_are_those_that_the_message_names(at_two_stations: Job) -> None:
 
 
 def test_a_refusal_before_the_first_step_still_shows_the_positions(at_two_stations: Job) -> None:
-    preview = preview_of(at_two_stations, calibration_of, refused_at("measure/permissions", "no permission"))
+    preview = preview_of(at_two_stations, calibration_of, refused_at("before/active-bank", "no answer"))
     assert (preview.path, preview.minutes) == ((), 0.0)
     assert preview.refusal is not None
     assert preview.refusal.bodies == ()
