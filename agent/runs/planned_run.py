@@ -10,7 +10,7 @@ from typing import Protocol
 from agent.errors import PlanRefused
 from agent.execution.steps import Point, RunPlan, Step
 from agent.planning.job import Job
-from agent.planning.preflight import PreflightResult
+from agent.planning.preflight import PreflightResult, run_preflight
 from agent.planning.stand_ins import USUAL_STORE
 from drivers.roles import StoreLimits
 
@@ -54,6 +54,15 @@ class PlannedRun:
     preflight: PreflightResult
     procedure: Callable[[], RunPlan]
     too_late: Callable[[Step, float], PlanRefused | None] = never_too_late
+
+
+def plan_run(
+    job: Job, kind: Kind, start: StartConditions, procedure: Callable[[], RunPlan], watch: Callable[[], None]
+) -> PlannedRun:
+    """Return the run of `job` whose plan is `procedure`, after a preflight that has walked this plan in every branch.
+    Errors are those of `run_preflight`."""
+    preflight = run_preflight(job, lambda _: procedure(), start.start_mm, watch)
+    return PlannedRun(job, kind, start, preflight, procedure)
 
 
 class Kind(Protocol):

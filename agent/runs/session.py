@@ -31,7 +31,6 @@ from agent.runs.planned_run import Kind, PlannedRun, StartConditions
 from agent.runs.reference_state import write_copy
 from agent.runs.result_files import write_results
 from agent.runs.run_context import RunContext, RunHooks, run_actions
-from agent.runs.run_results import RunResults
 from agent.runs.run_start import enter_in_journal, read_start_conditions
 from agent.runs.step_progress import StepProgress
 from agent.settings.schema import ClockSettings
@@ -170,8 +169,7 @@ class RunSession:
         self._began_s = began_s
         self._started_s = context.clock.now()
         self._planned: PlannedRun | None = None
-        self.progress = RunResults()
-        steps.results = self.progress
+        self.progress = steps.results
 
     def plan(self, start: StartConditions) -> PlannedRun:
         """Plan the run from the start conditions `start`, and call the caller's hook `preflight_passed` after the

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import agent.runs.kinds.calibrate
+import agent.runs.planned_run
 from agent.execution.device_assembly import Devices
 from agent.execution.encoding import table_digest
 from agent.execution.journal import RunJournal
@@ -153,7 +153,7 @@ def cache_preflight() -> None:
             done[start_mm] = run_preflight(job, plan_of, start_mm, watch, every_branch=every_branch)
         return done[start_mm]
 
-    agent.runs.kinds.calibrate.run_preflight = once  # type: ignore[attr-defined]
+    agent.runs.planned_run.run_preflight = once  # type: ignore[attr-defined]
 
 
 @dataclass

@@ -12,7 +12,7 @@ from agent.planning.preflight import PreflightResult, never_interrupted, run_pre
 from agent.results.predicted_accuracy import preflight_estimate
 from agent.runs.consent import Consent
 from agent.runs.kinds.calibration import CalibrationTask, calibration
-from agent.runs.planned_run import PlannedRun, StartConditions
+from agent.runs.planned_run import PlannedRun, StartConditions, plan_run
 from agent.runs.reference_state import ReferenceState, full_calibration_need, reference_for
 
 
@@ -33,9 +33,9 @@ class FullCalibration:
         nights = nights_since(reference, self.nights, start.at)
         changed = full_calibration_need(job.settings.state_directory, start.run) is not None
         task = CalibrationTask(job, start.store, reference, nights, self.consent, changed)
-        preflight = run_preflight(job, lambda _: calibration(task), start.start_mm, watch)
-        preflight_estimate(job, preflight.measured)
-        return PlannedRun(job, self, start, preflight, lambda: calibration(task))
+        planned = plan_run(job, self, start, lambda: calibration(task), watch)
+        preflight_estimate(job, planned.preflight.measured)
+        return planned
 
 
 def calibration_of(job: Job) -> RunPlan:

@@ -143,14 +143,21 @@ def _concluded(
     job = task.job
     yield from note_measured(MEASURED, measured)
     yield Enter("state/identifying", RunState.IDENTIFYING)
-    estimation = yield from estimated(job, lambda: _estimate(ready, job, measured), lambda: _balls(job, measured))
+    estimation = yield from estimated(
+        job, lambda: _estimate(ready, job, measured), lambda: balls_for_estimate(job, measured)
+    )
     weighed = yield Conclude("identify/weighed", lambda: _weigh(task, ready, estimation))
+
+    def passed() -> RunPlan:
+        yield from checked_gates(lambda: weighed.gates)
+        return (yield from written(task, ready, estimation, measured, after_proof))
+
     return Fork(
         "identify/choice",
         lambda: str(weighed.way),
         {
-            WRITE: lambda: _passed(task, ready, estimation, measured, lambda: weighed.gates, after_proof),
-            ASK: lambda: _asked(task, ready, estimation, measured, lambda: weighed.gates, after_proof),
+            WRITE: passed,
+            ASK: lambda: _asked(lambda: weighed.gates, passed),
             KEEP: lambda: _kept(task, ready, estimation, measured, lambda: weighed),
             REFUSE: lambda: gates_refused(lambda: weighed.gates),
         },
@@ -158,13 +165,9 @@ def _concluded(
     )
 
 
-def _balls(job: Job, measured: MeasuredPositions) -> Sequence[MeasuredBall]:
-    return balls_for_estimate(job, measured)
-
-
 def _estimate(ready: PreparedRun, job: Job, measured: MeasuredPositions) -> EstimationResult:
     with translated(MeasurementFault):
-        return estimate_from_balls(job, _balls(job, measured), ready.correction)
+        return estimate_from_balls(job, balls_for_estimate(job, measured), ready.correction)
 
 
 def estimated(
@@ -225,30 +228,12 @@ def _record_gates(journal: RunJournal, checked: CheckedGates) -> None:
         journal.decision("gate", vars(gate))
 
 
-def _asked(
-    task: CalibrationTask,
-    ready: PreparedRun,
-    estimation: EstimationResult,
-    measured: MeasuredPositions,
-    gates: Callable[[], Sequence[Gate]],
-    after_proof: AfterProof,
-) -> RunPlan:
+def _asked(gates: Callable[[], Sequence[Gate]], then: Callable[[], RunPlan]) -> RunPlan:
+    """Ask the operator for consent to a changed machine, and go on with the plan that `then` returns."""
     yield Conclude("consent/gates", lambda: CheckedGates(tuple(gates())))
     request = yield Conclude("consent/question", lambda: consent_request(gates()), consent_request(()))
     yield AskOperator("consent/change", request)
-    return (yield from _passed(task, ready, estimation, measured, gates, after_proof))
-
-
-def _passed(
-    task: CalibrationTask,
-    ready: PreparedRun,
-    estimation: EstimationResult,
-    measured: MeasuredPositions,
-    gates: Callable[[], Sequence[Gate]],
-    after_proof: AfterProof,
-) -> RunPlan:
-    yield from checked_gates(gates)
-    return (yield from written(task, ready, estimation, measured, after_proof))
+    return (yield from then())
 
 
 def _kept(
@@ -305,7 +290,7 @@ def written(
     yield Enter("state/staging", RunState.STAGING, doubt)
     bank = publish.choose_bank(limits.banks, ready.found.bank)
     yield from publish.stage_table(bank, image)
-    yield from record_table("staged", bank, lambda: image)
+    yield from record_table("staged", bank, image)
     yield Enter("state/activating", RunState.ACTIVATING)
     in_use = BankInUse(bank)
     yield Conclude("publish/bank", lambda: in_use, in_use)

@@ -11,7 +11,6 @@ from agent.execution.journal import RunJournal
 from agent.execution.states import RunState
 from agent.execution.steps import Conclude, Enter, Plan, RunPlan
 from agent.planning.job import Job
-from agent.planning.preflight import run_preflight
 from agent.probing.publish import ActiveCompensation
 from agent.probing.run_plan import MEASURED, note_measured
 from agent.results.run_outcome import Decision, NightReport, Proof
@@ -23,7 +22,7 @@ from agent.runs.kinds.position_choice import PositionChooser
 from agent.runs.kinds.run_parts import PreparedRun, found_compensation, prepared_run, refused
 from agent.runs.kinds.slot import Slot
 from agent.runs.kinds.verify import check_measurement, judge_measurement, with_table_of
-from agent.runs.planned_run import Kind, PlannedRun, StartConditions
+from agent.runs.planned_run import Kind, PlannedRun, StartConditions, plan_run
 from agent.runs.reference_state import FullCalibrationNeed
 from drivers.roles import StoreLimits
 
@@ -54,14 +53,8 @@ class PendingCalibration:
     def _full(self, start: StartConditions, watch: Callable[[], None]) -> PlannedRun | None:
         if not self.slot.full_allowed:
             return None
-
-        def procedure() -> RunPlan:
-            return pending_calibration(self, start.store)
-
-        preflight = run_preflight(self.here, lambda _: procedure(), start.start_mm, watch)
-        if not self.slot.holds(preflight.longest_minutes):
-            return None
-        return PlannedRun(self.here, self.kind, start, preflight, procedure)
+        planned = plan_run(self.here, self.kind, start, lambda: pending_calibration(self, start.store), watch)
+        return planned if self.slot.holds(planned.preflight.longest_minutes) else None
 
     def _verification(self, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
         slot, pending = self.slot, self.pending
@@ -73,13 +66,13 @@ class PendingCalibration:
                 self.judge.reference, lambda found: _verified_only(own, plan, self.judge, pending, found)
             )
 
-        preflight = run_preflight(own, lambda _: procedure(), start.start_mm, watch)
-        if not slot.holds(preflight.machine_minutes):
+        planned = plan_run(own, self.kind, start, procedure, watch)
+        if not slot.holds(planned.preflight.machine_minutes):
             raise PlanRefused(
-                f"the verification takes {preflight.machine_minutes:.1f} min, the slot has {slot.minutes:g}",
+                f"the verification takes {planned.preflight.machine_minutes:.1f} min, the slot has {slot.minutes:g}",
                 hint=f"a full calibration is needed since run {pending.run_id}: give a slot for it",
             )
-        return PlannedRun(own, self.kind, start, preflight, procedure)
+        return planned
 
 
 def pending_calibration(asked: PendingCalibration, store: StoreLimits) -> RunPlan:

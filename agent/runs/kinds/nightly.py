@@ -34,7 +34,6 @@ from agent.runs.kinds.calibration import (
     REFUSE,
     WRITE,
     CalibrationTask,
-    calibrated,
     checked_gates,
     estimated,
     gates_refused,
@@ -257,21 +256,16 @@ def _out_of_limits(running: _Night, measured: MeasuredPositions, judgement: Call
     if not task.slot.full_allowed:
         return (yield from ways[DIAGNOSE]())
     full = job_at_station(task.judge.job, task.plan.station)
-    calibration = CalibrationTask(full, task.store, task.judge.reference, task.judge.nights, Consent.GIVEN, True)
-    ready = replace(running.ready, job=full)
-    needed = yield ProvePlan(
-        "night/full-minutes",
-        partial(_minutes_of, full, lambda _: calibrated(calibration, ready, task.plan.station)),
-    )
+
+    def in_full() -> RunPlan:
+        def report() -> NightReport:
+            return replace(judgement().report, decision=Decision.FULL_DONE)
+
+        return calibrated_in_full(full, running.ready, task.store, task.judge, task.plan.station, report)
+
+    needed = yield ProvePlan("night/full-minutes", partial(_minutes_of, full, lambda _: in_full()))
     left = yield from running.slot.left_minutes("night/full-left")
-    ways[FULL] = lambda: calibrated_in_full(
-        full,
-        running.ready,
-        task.store,
-        task.judge,
-        task.plan.station,
-        lambda: replace(judgement().report, decision=Decision.FULL_DONE),
-    )
+    ways[FULL] = in_full
     return Fork("night/out", lambda: FULL if needed <= left else DIAGNOSE, ways, expected=DIAGNOSE)
 
 

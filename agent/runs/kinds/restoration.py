@@ -14,11 +14,10 @@ from agent.execution.journal_schema import FILE_NAME
 from agent.execution.states import RunState
 from agent.execution.steps import Conclude, Enter, Fork, RunPlan
 from agent.planning.job import Job
-from agent.planning.preflight import run_preflight
 from agent.probing import publish
 from agent.probing.publish import ActiveCompensation
 from agent.runs.kinds.run_parts import complete, found_compensation, record_table
-from agent.runs.planned_run import PlannedRun, StartConditions
+from agent.runs.planned_run import PlannedRun, StartConditions, plan_run
 from agent.runs.reference_state import TABLE_RESTORED
 from agent.runs.run_results import BankInUse
 from drivers.errors import InputError, NotActiveYet
@@ -43,8 +42,7 @@ class Restoration:
     def plan(self, job: Job, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
         """Return the planned run. Raises InputError if the journal does not contain the table to be restored."""
         image = stored_table(job.settings.state_directory, self.run_id, self.role)
-        preflight = run_preflight(job, lambda _: restoration(self, image, start.store), start.start_mm, watch)
-        return PlannedRun(job, self, start, preflight, lambda: restoration(self, image, start.store))
+        return plan_run(job, self, start, lambda: restoration(self, image, start.store), watch)
 
 
 def restoration(asked: Restoration, image: TableImage | None, limits: StoreLimits) -> RunPlan:
@@ -76,7 +74,7 @@ def _written_again(
     bank = 0 if image is None else publish.choose_bank(limits.banks, found.bank)
     if image is not None:
         yield from publish.stage_table(bank, image)
-    yield from record_table("staged", bank, lambda: image)
+    yield from record_table("staged", bank, image)
     in_use = BankInUse(bank)
     yield Conclude("restore-table/bank", lambda: in_use, in_use)
     late = ""

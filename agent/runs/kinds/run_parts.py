@@ -61,9 +61,9 @@ def restored(found: ActiveCompensation, activation: Activation) -> Plan[None]:
     yield Conclude("restore/found", lambda: found, found, lambda journal, _: _record(journal, "restored", found))
 
 
-def record_table(role: str, bank: int, image: Callable[[], TableImage | None]) -> Plan[None]:
+def record_table(role: str, bank: int, image: TableImage | None) -> Plan[None]:
     """Store a compensation table in the journal with the role `role`."""
-    yield Conclude(f"{role}/{bank}", lambda: None, None, lambda journal, _: journal.table(role, bank, image()))
+    yield Conclude(f"{role}/{bank}", lambda: None, None, lambda journal, _: journal.table(role, bank, image))
 
 
 def complete(text: Callable[[], str]) -> Plan[None]:

@@ -10,10 +10,9 @@ from agent.execution.journal import RunJournal
 from agent.execution.states import RunState
 from agent.execution.steps import Conclude, Enter, RunPlan
 from agent.planning.job import Job
-from agent.planning.preflight import run_preflight
 from agent.results.trial_report import TrialReport, trial_report
 from agent.runs.kinds.run_parts import complete, found_compensation, prepared_run
-from agent.runs.planned_run import PlannedRun, StartConditions
+from agent.runs.planned_run import PlannedRun, StartConditions, plan_run
 from agent.settings.schema import Settings
 
 
@@ -33,8 +32,7 @@ class OneBallTrial:
     name: str = "try"
 
     def plan(self, job: Job, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
-        preflight = run_preflight(job, trial, start.start_mm, watch)
-        return PlannedRun(job, self, start, preflight, lambda: trial(job))
+        return plan_run(job, self, start, lambda: trial(job), watch)
 
 
 def trial(job: Job) -> RunPlan:

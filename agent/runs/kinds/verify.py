@@ -14,7 +14,6 @@ from agent.execution.journal import RunJournal
 from agent.execution.states import RunState
 from agent.execution.steps import Conclude, Enter, Fork, Plan, RunPlan
 from agent.planning.job import Job
-from agent.planning.preflight import run_preflight
 from agent.probing.publish import ActiveCompensation
 from agent.probing.run_plan import MEASURED, MeasuredPositions, measure_positions, note_measured
 from agent.results.observations import Correction
@@ -24,7 +23,7 @@ from agent.runs.kinds.drift_check import Judge, Judgement
 from agent.runs.kinds.night_plan import VERIFICATION, NightPlan, job_at_station, station_of, verification_plan
 from agent.runs.kinds.position_choice import PositionChooser
 from agent.runs.kinds.run_parts import PreparedRun, complete, found_compensation, prepared_run, refused
-from agent.runs.planned_run import PlannedRun, StartConditions
+from agent.runs.planned_run import PlannedRun, StartConditions, plan_run
 from agent.runs.reference_state import ReferenceState, active_digest, require_reference
 
 ITS_TABLE, OTHER_TABLE = "accepted table active", "another table active"
@@ -48,8 +47,7 @@ class Verification:
         judge = Judge(job, reference, nights_since(reference, self.nights, start.at))
         plan = verification_plan(PositionChooser(job_at_station(job, station), station), judge)
         own = plan.job(job)
-        preflight = run_preflight(own, lambda _: verification(own, plan, judge), start.start_mm, watch)
-        return PlannedRun(own, self, start, preflight, lambda: verification(own, plan, judge))
+        return plan_run(own, self, start, lambda: verification(own, plan, judge), watch)
 
 
 def verification(job: Job, plan: NightPlan, judge: Judge) -> RunPlan:
