@@ -14,6 +14,7 @@ from pathlib import Path
 
 MODULES = Path("/usr/lib/linuxcnc/modules")
 TMP = Path("/tmp")  # noqa: S108  inside the namespace
+SHARED_MEMORY = Path("/dev/shm")  # noqa: S108  inside the namespace
 PROGRAMS = Path(__file__).resolve().parents[2]
 """Root directory of volcal; programs in the namespaces must find it even if it is under the outer /tmp."""
 HOME = str(TMP)
@@ -65,20 +66,20 @@ def unavailable_reason() -> str:
 def make_private(work: Path, modules: list[Path]) -> None:
     """Prepare the Linux namespaces of this process, which must be new. This must be the first call inside them.
 
-    The function activates the loopback interface and mounts a private /dev/shm and a private /tmp. In the private /tmp,
-    the directory `work` and the volcal programs are still found at their old paths. The files `modules` are added to
-    the modules that LinuxCNC can load.
+    The function activates the loopback interface and mounts a private /dev/shm and a private /tmp. In them, the
+    directory `work` and the volcal programs are still found at their old paths. The files `modules` are added to the
+    modules that LinuxCNC can load.
     """
     _run("ip", "link", "set", "lo", "up")
-    # faketime names its shared memory by process ids, which restart in a new namespace
-    _run("mount", "-t", "tmpfs", "-o", "mode=1777", "tmpfs", "/dev/shm")  # noqa: S108
     _run("mount", "-t", "tmpfs", "tmpfs", "/mnt")
-    hidden = [path for path in (PROGRAMS, work) if path.is_relative_to(TMP)]
+    hidden = [path for path in (PROGRAMS, work) if path.is_relative_to(TMP) or path.is_relative_to(SHARED_MEMORY)]
     preserved = [(path, Path("/mnt", str(number))) for number, path in enumerate(hidden)]
     for path, aside in preserved:
         aside.mkdir()
         _run("mount", "--bind", str(path), str(aside))
-    _run("mount", "-t", "tmpfs", "-o", "mode=1777", "tmpfs", str(TMP))
+    # faketime names its shared memory by process ids, which restart in a new namespace
+    for private in (SHARED_MEMORY, TMP):
+        _run("mount", "-t", "tmpfs", "-o", "mode=1777", "tmpfs", str(private))
     for path, aside in preserved:
         path.mkdir(parents=True, exist_ok=True)
         _run("mount", "--move", str(aside), str(path))
