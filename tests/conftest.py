@@ -8,9 +8,22 @@ from __future__ import annotations
 
 import os
 import signal
+import tempfile
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is first imported; see agent/cli/main.py
+
+import pytest
+from aloud import NOT_HERE
+from hypothesis import HealthCheck, settings
+
+settings.register_profile("desk", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("check", parent=settings.get_profile("desk"), derandomize=True, database=None)
+settings.register_profile("quick", parent=settings.get_profile("check"), max_examples=10)
+settings.load_profile("check" if os.environ.get("CI") else "desk")
+
+SLOW = Path(__file__).with_name("slow.txt")
+LONG = Path(__file__).with_name("long_files.txt")
 
 SHARED_MEMORY = Path("/dev/shm")  # noqa: S108  pytest makes a folder of its own inside
 ROOM_BYTES = 4 << 30
@@ -26,20 +39,8 @@ def _folders_in_memory() -> bool:
 
 # A run makes 10,000 to 20,000 commits, each of which waits for the disk (2 to 8 ms measured); tests of durability kill
 # processes, never the computer. Processes that tests start inherit it.
-if _folders_in_memory():
-    os.environ.setdefault("TMPDIR", str(SHARED_MEMORY))
-
-import pytest
-from aloud import NOT_HERE
-from hypothesis import HealthCheck, settings
-
-settings.register_profile("desk", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.register_profile("check", parent=settings.get_profile("desk"), derandomize=True, database=None)
-settings.register_profile("quick", parent=settings.get_profile("check"), max_examples=10)
-settings.load_profile("check" if os.environ.get("CI") else "desk")
-
-SLOW = Path(__file__).with_name("slow.txt")
-LONG = Path(__file__).with_name("long_files.txt")
+if "TMPDIR" not in os.environ and _folders_in_memory():
+    os.environ["TMPDIR"] = tempfile.tempdir = str(SHARED_MEMORY)
 
 # A shell without job control starts what is put in the background with the keyboard's interrupt ignored, and so would
 # everything be that the tests start: those that interrupt would wait without end.

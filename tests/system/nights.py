@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
-import tempfile
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -190,9 +188,3 @@ class OffsetClock:
 
     def sleep(self, duration_s: float) -> None:
         self.inner.sleep(duration_s)
-
-
-def memory_directory() -> tempfile.TemporaryDirectory[str]:
-    """Return a directory in memory: a night makes 18,000 commits, and durability is tested elsewhere."""
-    shared = Path("/dev/shm")  # noqa: S108  a directory of its own inside, removed with the fixture
-    return tempfile.TemporaryDirectory(prefix="volcal-", dir=shared if os.access(shared, os.W_OK) else None)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
-from nights import document, memory_directory
+from nights import document
 
 from agent.errors import MeasurementFault
 from agent.execution.device_assembly import assemble
@@ -27,7 +28,7 @@ FREE, UPWARDS = Position(2, 45.0, 0.0), Position(2, 0.0, 45.0)
 
 @pytest.fixture(scope="module")
 def job() -> Iterator[Job]:
-    with memory_directory() as directory:
+    with TemporaryDirectory() as directory:
         yield prepare_job(Settings.model_validate(document(Path(directory) / "state")), Path.cwd())
 
 

@@ -6,10 +6,11 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
-from nights import CONFIG, Night, memory_directory, merged
+from nights import CONFIG, Night, merged
 from stored_run import StoredRun, stored_run
 from test_whole_run_interrupted import Cut, with_device
 
@@ -62,7 +63,7 @@ def document(state: Path, **hand: Any) -> dict[str, Any]:
 
 @pytest.fixture
 def state() -> Iterator[Path]:
-    with memory_directory() as directory:
+    with TemporaryDirectory() as directory:
         yield Path(directory) / "state"
 
 

@@ -18,10 +18,11 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 from aloud import NOT_HERE
-from nights import Night, memory_directory, short_document
+from nights import Night, short_document
 from sqlalchemy import URL
 from stored_run import stored_run
 
@@ -120,7 +121,7 @@ def _free_port() -> int:
 @pytest.fixture(scope="module")
 def measured() -> Iterator[tuple[Path, dict[str, object]]]:
     """A real run on the simulated machine, and its settings."""
-    with memory_directory() as directory:
+    with TemporaryDirectory() as directory:
         state = Path(directory) / "state"
         document = short_document(state)
         ended = Night().run(document, files=False)

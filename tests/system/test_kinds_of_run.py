@@ -9,11 +9,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
 from click.testing import CliRunner, Result
-from nights import Night, memory_directory, short_document
+from nights import Night, short_document
 from stored_run import stored_run
 
 import agent.cli.run_commands.night_options
@@ -51,7 +52,7 @@ class Calibrated:
 @pytest.fixture(scope="module")
 def calibrated() -> Iterator[Calibrated]:
     """Nobody works on it: each test has a copy."""
-    with memory_directory() as directory:
+    with TemporaryDirectory() as directory:
         state = Path(directory) / "state"
         settings = short_document(state, nightly=NIGHTLY)
         night = Night()
@@ -64,7 +65,7 @@ def calibrated() -> Iterator[Calibrated]:
 
 @pytest.fixture
 def machine(calibrated: Calibrated) -> Iterator[Calibrated]:
-    with memory_directory() as directory:
+    with TemporaryDirectory() as directory:
         state = Path(directory) / "state"
         shutil.copytree(calibrated.state, state)
         settings = copy.deepcopy(calibrated.settings) | {"state_directory": str(state)}
@@ -77,7 +78,7 @@ def told(outcome: Outcome) -> Decision:
 
 
 def test_without_an_accepted_night_there_is_nothing_to_compare_with(monkeypatch: pytest.MonkeyPatch) -> None:
-    with memory_directory() as directory:
+    with TemporaryDirectory() as directory:
         settings = short_document(Path(directory) / "state")
         for kind in (Verification(), nightly.Night()):
             ended = Night().run(settings, kind=kind, files=False)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
-from nights import memory_directory
 from test_demo_command import demo
 
 from agent.cli.doctor import examine
@@ -29,7 +29,7 @@ def test_a_whole_run_over_a_serial_line(tmp_path: Path) -> None:
 
 
 def test_doctor_on_a_serial_line_and_where_the_controller_really_answers() -> None:
-    with memory_directory() as directory:
+    with TemporaryDirectory() as directory:
         out = Path(directory)
         with SimulatorProcess(
             SCENARIO, can="socketcand:127.0.0.1:0", log=out / "simulator.log", modbus_rtu="any@38400,8N2"

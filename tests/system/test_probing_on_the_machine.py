@@ -7,11 +7,12 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import pytest
-from nights import SCENARIO, Night, document, memory_directory, short_document
+from nights import SCENARIO, Night, document, short_document
 from stored_run import stored_run
 
 from agent.errors import MeasurementFault
@@ -39,7 +40,7 @@ NO_MOUNT_ERROR = {"index_error_deg": 0.0, "wobble_um": 0.0, "place_error_mm": 0.
 
 @pytest.fixture
 def state() -> Iterator[Path]:
-    with memory_directory() as directory:
+    with TemporaryDirectory() as directory:
         yield Path(directory) / "state"
 
 

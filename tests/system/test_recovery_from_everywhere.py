@@ -5,11 +5,12 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import pytest
-from nights import document, memory_directory
+from nights import document
 
 from agent.execution import steps as s
 from agent.execution.device_assembly import assemble
@@ -34,7 +35,7 @@ POSITIONS = "station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n1,90,-45\n"
 
 @pytest.fixture
 def state() -> Iterator[Path]:
-    with memory_directory() as directory:
+    with TemporaryDirectory() as directory:
         yield Path(directory) / "state"
 
 

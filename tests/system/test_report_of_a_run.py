@@ -6,11 +6,12 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from nights import Night, memory_directory, short_document
+from nights import Night, short_document
 
 from agent.cli.main import main
 from agent.execution.journal_copy import copy_journal
@@ -41,7 +42,7 @@ class Season:
 
 @pytest.fixture(scope="module")
 def season() -> Iterator[Season]:
-    with memory_directory() as directory:
+    with TemporaryDirectory() as directory:
         state = Path(directory) / "state"
         night, document = Night(), short_document(state)
         document["nightly"] = {"check_positions": 1, "max_chi2": 4.0, "max_ve_growth": 20.0, "step_evidence": 30.0}

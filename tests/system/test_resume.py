@@ -10,12 +10,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import pytest
 from journal_surgery import change_start_of_measuring, rename_steps
-from nights import Night, memory_directory, short_document
+from nights import Night, short_document
 from stored_run import stored_run
 from test_whole_run_interrupted import FORMER, Cut, Tripwire, with_device
 
@@ -104,13 +105,13 @@ def working_in(directory: Path) -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def lost_measuring() -> Iterator[tuple[Path, Broken]]:
-    with memory_directory() as directory, working_in(Path(directory)):
+    with TemporaryDirectory() as directory, working_in(Path(directory)):
         yield Path(directory), broken_at(IN_A_BALL)
 
 
 @pytest.fixture(scope="module")
 def lost_proving() -> Iterator[tuple[Path, Broken]]:
-    with memory_directory() as directory, working_in(Path(directory)):
+    with TemporaryDirectory() as directory, working_in(Path(directory)):
         yield Path(directory), broken_at(IN_THE_PROOF)
 
 

@@ -7,11 +7,12 @@ import math
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import pytest
-from nights import SCENARIO, document, memory_directory
+from nights import SCENARIO, document
 
 from agent.errors import MeasurementFault
 from agent.execution import steps as s
@@ -29,7 +30,7 @@ GROWTH_UM_PER_M = (1.5, -2.0, 3.0)
 
 @pytest.fixture
 def state() -> Iterator[Path]:
-    with memory_directory() as directory:
+    with TemporaryDirectory() as directory:
         yield Path(directory) / "state"
 
 

@@ -6,10 +6,11 @@ import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
-from nights import CONFIG, SCENARIO, Night, memory_directory, short_document
+from nights import CONFIG, SCENARIO, Night, short_document
 
 from agent.errors import MeasurementFault
 from agent.execution.journal_reader import open_journal
@@ -21,7 +22,7 @@ COUNT = 11
 
 @pytest.fixture
 def directory() -> Iterator[Path]:
-    with memory_directory() as made:
+    with TemporaryDirectory() as made:
         yield Path(made)
 
 

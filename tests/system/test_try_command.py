@@ -7,10 +7,11 @@ import subprocess
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
-from nights import SCENARIO, Night, memory_directory, short_document
+from nights import SCENARIO, Night, short_document
 from simulated import COMMAND, ROOT, configured, simulated
 
 from agent.errors import MeasurementFault
@@ -26,7 +27,7 @@ WIDE = dict.fromkeys(("form_limit_um", "touch_limit_um", "pole_limit_um", "radiu
 
 @pytest.fixture
 def state() -> Iterator[Path]:
-    with memory_directory() as directory:
+    with TemporaryDirectory() as directory:
         yield Path(directory) / "state"
 
 

@@ -7,9 +7,9 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
-from nights import memory_directory
 from stored_run import stored_run
 
 from agent.cli.doctor import examine
@@ -24,7 +24,7 @@ SETTINGS, SCENARIO = CONFIG / "two-mounts.toml", CONFIG / "simulators" / "two-mo
 
 @pytest.fixture
 def out() -> Iterator[Path]:
-    with memory_directory() as directory:
+    with TemporaryDirectory() as directory:
         yield Path(directory)
 
 

@@ -8,12 +8,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
-from nights import Night, document, memory_directory, short_document
+from nights import Night, document, short_document
 from stored_run import StoredRun, repeated, stored_run
 
 from agent.cli.main import main
@@ -70,7 +71,7 @@ class TwoNights:
 
 @pytest.fixture(scope="module")
 def nights() -> Iterator[TwoNights]:
-    with memory_directory() as directory:
+    with TemporaryDirectory() as directory:
         state = Path(directory) / "state"
         night = Night()
         first = night.run(document(state))
@@ -256,7 +257,7 @@ class WithoutEffect:
 
 @pytest.fixture
 def state() -> Iterator[Path]:
-    with memory_directory() as directory:
+    with TemporaryDirectory() as directory:
         yield Path(directory) / "state"
 
 

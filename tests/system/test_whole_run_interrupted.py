@@ -5,11 +5,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import pytest
-from nights import Night, memory_directory, short_document
+from nights import Night, short_document
 from stored_run import stored_run
 
 from agent.errors import Aborted, JournalFailed
@@ -87,7 +88,7 @@ def with_device(rig: Rig, device: Any) -> Rig:
 
 @pytest.fixture
 def state() -> Iterator[Path]:
-    with memory_directory() as directory:
+    with TemporaryDirectory() as directory:
         yield Path(directory) / "state"
 
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
 import sqlite3
-import tempfile
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
@@ -55,11 +53,8 @@ def settings(state: Path, **history: object) -> Settings:
 
 
 @pytest.fixture
-def state() -> Iterator[Path]:
-    """A state directory in memory; durability is tested elsewhere."""
-    shared = Path("/dev/shm")  # noqa: S108  a directory of its own inside, removed with the fixture
-    with tempfile.TemporaryDirectory(prefix="volcal-", dir=shared if os.access(shared, os.W_OK) else None) as directory:
-        yield Path(directory) / "state"
+def state(tmp_path: Path) -> Path:
+    return tmp_path / "state"
 
 
 @pytest.fixture
