@@ -1,6 +1,7 @@
 """Distributions of the volumetric error (VE) and of the volumetric compensated error (VCE), given an estimate.
 
-Distribution of a quadratic form of Gaussian variables with several possible means and covariances.
+The mean square of a field is a quadratic form of its parameters. This module computes the distribution of a quadratic
+form of Gaussian variables with several possible means and covariances.
 
 Each possible pair of mean and covariance is equally probable.
 """
