@@ -23,8 +23,8 @@ from twin.collision.geometry import Point
 from twin.collision.motion_law import travel_times
 from twin.collision.sphere_prefilter import SceneSpheres, SpherePrefilter
 
-# About in proportion, each 1.4 to 1.5 times the one before from 32 mm on: a retract that is longer than needed by a share
-# costs that share of its time, whatever its size.
+# From 32 mm on, each is 1.4 to 1.5 times the one before: a retract that is longer than needed by a share costs that
+# share of its time, whatever its size.
 RETRACTS_MM = (0.0, 4.0, 8.0, 14.0, 22.0, 32.0, 45.0, 65.0, 95.0, 140.0, 200.0, 300.0)
 """Retract distances of the candidates in mm, measured from whichever of start and end is nearer to the ram."""
 CORNER_FRACTIONS = (0.0, 0.15, 0.5, 0.85, 1.0)
