@@ -195,7 +195,7 @@ class RestorableLink(Protocol):
     """Device that restores its link after an interruption while nothing moves, and counts the interruptions."""
 
     def interruptions(self) -> int:
-        """Return the number of interruptions of the link since the device was created after which it was restored."""
+        """Return the number of interruptions of the link from which the device has recovered since it was created."""
         ...
 
 

@@ -29,10 +29,10 @@ def will_run() -> bool:
 
 
 def program_arguments(arguments: Sequence[str]) -> list[str]:
-    """Return the arguments with which the program is to be called, if `arguments` stand on its command line.
+    """Return the arguments to pass to the program, given the `arguments` on its command line.
 
-    If one of them asks for help, only the names of the commands and this request are left, so that no command can run:
-    the value of an option is never read as one. `will_run` is False from then on.
+    If one of them asks for help, only the names of the commands and this request are kept, so that no command can run.
+    The value of an option is never mistaken for the name of a command. `will_run` returns False from then on.
     """
     own = list(arguments[: arguments.index("--")] if "--" in arguments else arguments)
     if HELP not in own:

@@ -41,7 +41,7 @@ def write_branch_steps(branches: Sequence[Branch], file: Path) -> None:
 
 def write_run_steps(directory: Path, run_id: str, file: Path) -> None:
     """Write the keys of the steps that the run `run_id` carried out as its procedure, in order, with the machine
-    minutes since its first step at which each of them ended. The journal stands in the state directory `directory`.
+    minutes since its first step at which each of them ended. The journal is in the state directory `directory`.
 
     Raises InputError if there is no such run or if `file` cannot be written.
     """

@@ -79,8 +79,7 @@ class Engine:
         return Engine(self._actions, None if self._journal is None else self._journal.aside())
 
     def run(self, plan: Plan[T]) -> T:
-        """Run `plan` to its end and return the value that the plan returns. The plan, a generator, is closed in any
-        case.
+        """Run `plan` to its end and return the value that the plan returns. The plan, a generator, is always closed.
 
         If a step raises a `VolcalError`, the key of the step is added to the error. If the plan itself raises a
         `VolcalError`, the key of the last step whose result the plan received is added to the error. A step that raises
@@ -113,8 +112,9 @@ class Engine:
             plan.close()
 
     def carry_out(self, plan: RunPlan) -> None:
-        """Run `plan` and, at each decision, the way that is chosen, to the end of the run. Errors are those of `run`;
-        ValueError is raised if a decision chooses a way that it has not declared, which is a defect of the plan."""
+        """Run `plan` and, at each decision, the way that is chosen, to the end of the run. Raises the same errors as
+        `run`, and ValueError if a decision chooses a way that it has not declared, which is a defect of the plan.
+        """
         fork = self.run(plan)
         while fork is not None:
             fork = self.run(self._chosen(fork))

@@ -123,7 +123,7 @@ class Rig:
         return complaints
 
     def link_interruptions(self) -> dict[str, int]:
-        """Return, by device, the number of interruptions of the link after which the device has restored it."""
+        """Return the number of interruptions of the link from which each device has recovered, by device name."""
         found: dict[str, int] = {}
         for name, one in self.devices.items():
             if isinstance(one, RestorableLink):

@@ -6,8 +6,8 @@ it enters (`Enter`), the values that it computes (`Conclude`) and the plans that
 (`ProvePlan`). A decision ends a plan: the plan returns a `Fork`, which names every way on. The preflight walks each of
 them; on the machine, the engine chooses one and carries it out.
 
-All that depends on measured values stands in functions (`compute`, `choose`, `reason`) that only the run on the machine
-calls. The preflight continues with stand-ins, and the plan must not look into them.
+All code that depends on measured values is in functions (`compute`, `choose`, `reason`) that only the run on the
+machine calls. The preflight continues with stand-ins, and the plan must not look into them.
 
 The key names the place of the step in the procedure (``station-1/az090-el045/ball-03/touch-2``) and is unique in a run.
 A plan that is rebuilt from the same settings and the same results has the same keys. A resumed run can therefore find
@@ -294,8 +294,8 @@ Plan: TypeAlias = Generator[Step, Any, T]
 
 @dataclass(frozen=True, slots=True)
 class Fork:
-    """Decision that ends a plan. `ways` maps the name of each outcome to a function that returns the plan that goes on
-    from there, to the end of the run.
+    """Decision that ends a plan. `ways` maps the name of each outcome to a function that returns the rest of the plan,
+    up to the end of the run.
 
     A decision can only be the last thing that a plan does, because a generator cannot be copied: the preflight walks
     each way as a plan of its own, from a copy of the simulated machine. `choose` returns the name of the outcome;

@@ -1,5 +1,5 @@
-"""Line that heads every printed result and every figure. It stands apart from the drawing libraries, which commands
-that only print do not need.
+"""Line that heads every printed result and every figure. It is in a module of its own, because commands that only print
+do not need the drawing libraries.
 """
 
 from __future__ import annotations

@@ -78,7 +78,7 @@ class SafetyRules:
     _state: RunState = RunState.MEASURING
 
     def copy(self) -> SafetyRules:
-        """Return a copy for a plan that goes on from here."""
+        """Return a copy with which a plan that branches off here can be checked."""
         return replace(self, _keys=set(self._keys))
 
     def broken_by(self, step: s.Step) -> Iterator[str]:

@@ -47,8 +47,9 @@ def measure_with_repeats(
     then: Callable[[MeasuredPositions], RunPlan],
 ) -> RunPlan:
     """Measure the positions of `order`. If the machine's temperature has changed by `repeats.threshold_k` or more
-    during the measurement, measure the first positions again according to `repeats`. The run goes on with the plan that
-    `then` returns for the measurements."""
+    during the measurement, measure the first positions again according to `repeats`. The run then continues with the
+    plan that `then` returns for the measurements.
+    """
     measured = yield from measure_positions(order, layout, rules)
     first = _first(measured, repeats)
     if not first:

@@ -1,19 +1,21 @@
-"""Reduction of the mean square of the held-out balls that a new compensation table is predicted to show, and the noise
-in which it must be shown.
+"""Predicted reduction of the mean square residual of the held-out balls by a new compensation table, and the test
+whether the measured reduction reaches it in spite of noise.
 
 Let s be the residuals of the held-out balls with the former table and n the noise of the touches, in f independent
 components of standard deviation σ. The measured square |s + n|² has the variance 4 |s|² σ² + 2 f σ⁴. The measured
 reduction is the difference of two such squares, before and after the table is activated. Without any effect of the
 table its expectation is zero, and both have the same s. With the predicted effect its expectation is the prediction.
 
-A table is accepted if the measured reduction reaches a threshold. If the prediction *can be shown*, this is the part of
-the prediction that may not be missing, but at least `SIGNIFICANCE` standard deviations of a reduction that noise alone
-shows. A prediction can be shown if it exceeds this threshold by `POWER` standard deviations. A table without effect is
-then accepted with a probability of about 1 %, and a table with the predicted effect refused with at most about 5 %.
+A table is accepted if the measured reduction reaches a threshold. If the prediction is *detectable* (`can_be_shown`),
+the threshold is the required fraction of the prediction, but at least `SIGNIFICANCE` standard deviations of the
+reduction that noise alone produces. A prediction is detectable if it exceeds this threshold by `POWER` standard
+deviations. A table without effect is then accepted with a probability of about 1 %, and a table with the predicted
+effect refused with at most about 5 %.
 
-If the prediction cannot be shown, no threshold separates the two. The threshold is then chosen so that a table with
-the predicted effect is refused with about 1 %; how often a table without effect is accepted depends on the prediction.
-For a prediction that is small against the noise, only a rise beyond the noise is refused.
+If the prediction is not detectable, no threshold separates the two cases. The threshold is then chosen so that a table
+with the predicted effect is refused with a probability of about 1 %; how often a table without effect is accepted
+depends on the prediction. If the prediction is small compared with the noise, a table is refused only if the residuals
+rise by more than the noise explains.
 """
 
 from __future__ import annotations

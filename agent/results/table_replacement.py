@@ -1,8 +1,8 @@
 """Replacement of the active compensation table by a new one: the one rule of full calibrations and nights.
 
-The active table is kept unless the new table is expected to be better by a stated margin. Nothing is written then, and
-the active table is confirmed. If a new table was written, it must show the reduction that was predicted at the held-out
-balls, as far as the noise of the touches lets it be seen; otherwise the former table is restored.
+The active table is kept unless the new table is expected to be better by a stated margin. If it is kept, nothing is
+written and the active table is confirmed. A new table must reduce the residuals of the held-out balls as predicted,
+within the noise of the touches; otherwise the former table is restored.
 
 Let e be the true deviation of the machine, ê its estimate with the covariance C, and c₀ and c₁ the corrections of the
 active and of the new table, with c₁ = -ê. The mean square that is left with the active table is expected to be
@@ -13,9 +13,9 @@ the noise of the touches before and after; see `agent.results.predicted_reductio
 Diagnosis of the correction that a controller applies, if held-out balls do not agree with a new table.
 
 Let c be the corrections of the new table, which make up for the estimated deviations: e = -c. A controller that adds
-the correction a to the displayed positions d moves the tip to d + a + e = d + a - c. With a = c a ball is met where it
-is displayed. The other corrections that controllers are known to apply by mistake are tried in turn: a = -c (wrong
-sign), a = 0 (no table), and that of the former table.
+the correction a to the displayed positions d moves the tip to d + a + e = d + a - c. If a = c, the tip is where the
+controller displays it. The other corrections that controllers are known to apply by mistake are tried in turn: a = -c
+(wrong sign), a = 0 (no table), and that of the former table.
 """
 
 from __future__ import annotations
@@ -96,8 +96,9 @@ class FormerBalls:
     """Held-out balls measured with the former table, whose corrections are `correction`, in the course of the
     measurement from which the estimate was made.
 
-    `observed` are their observations without compensation. `drift_mm` (n, 3) contains what the drift of the machine
-    takes away from their deviations until the end of that measurement, which is the state that the estimate describes.
+    `observed` are their observations without compensation. `drift_mm` (n, 3) is the deviation of each ball when it was
+    measured, minus its deviation at the end of that measurement. The estimate describes the state of the machine at the
+    end.
     """
 
     balls: Sequence[MeasuredBall]
@@ -120,7 +121,8 @@ class FormerBalls:
     def residuals(self, tool_offset_mm: Array, artefact: Artefact) -> HeldOutResiduals:
         """Return the residuals that the balls would show at the end of the measurement with the former table active.
 
-        A ball is met at its place minus the deviation, so less deviation lets its displayed position grow.
+        The displayed position of a ball is its true position minus the deviation, so it rises by the amount by which
+        the deviation falls.
         """
         displayed = np.array([ball.found.centre_mm for ball in self.balls])
         return held_out_residuals(self.observed, displayed + tool_offset_mm + self.drift_mm, artefact)
@@ -179,9 +181,9 @@ def prove(job: Job, estimation: EstimationResult, former: FormerBalls, after: Se
     """Return the proof of a new compensation table at the held-out balls, measured with the former table, `former`,
     and with the new one, `after`.
 
-    If the machine drifted, the measured reduction is that from the state at the end of the measurement. Otherwise an
-    error that grew until then would hide the effect of the table, and one that shrank would pass for it. Raises
-    MeasurementFault if too few balls were found for a comparison.
+    If the machine drifted, the residuals with the former table are first converted to the state of the machine at the
+    end of the measurement. Otherwise an error that grew during the measurement would hide the effect of the table, and
+    one that shrank would be mistaken for it. Raises MeasurementFault if too few balls were found for a comparison.
     """
     limits, offset = job.settings.verification, job.tool_offset_mm
     predicted = predicted_reduction(job, estimation, former)
@@ -281,8 +283,10 @@ def _disagreement(expected: HeldOutTest, limits: VerificationSettings) -> str:
 def mistaken_correction(
     balls: Sequence[MeasuredBall], new: Correction, former: Correction, tool_offset_mm: Array, artefact: Artefact
 ) -> str:
-    """Return the mistake of the controller that explains the held-out `balls`, which were measured with the new table
-    active; empty if none explains them. `new` and `former` are the corrections of the new and of the former table."""
+    """Return a description of the controller's mistake that explains the residuals of the held-out `balls`, which were
+    measured with the new table active; an empty text if no mistake explains them. `new` and `former` are the
+    corrections of the new and of the former table.
+    """
     displayed = np.array([ball.found.centre_mm for ball in balls])
     observed = observations_of(balls, tool_offset_mm, no_correction)
     wanted = new(displayed)

@@ -60,7 +60,8 @@ def plan_run(
     job: Job, kind: Kind, start: StartConditions, procedure: Callable[[], RunPlan], watch: Callable[[], None]
 ) -> PlannedRun:
     """Return the run of `job` whose plan is `procedure`, after a preflight that has walked this plan in every branch.
-    Errors are those of `run_preflight`."""
+    Raises the same errors as `run_preflight`.
+    """
     preflight = run_preflight(job, lambda _: procedure(), start.start_mm, watch)
     return PlannedRun(job, kind, start, preflight, procedure)
 

@@ -1,5 +1,6 @@
-"""Kinds of runs that can be requested. The names stand apart from the request, so that the command line can offer them
-without the library that validates requests."""
+"""Kinds of runs that can be requested. The names are not in the module of the request, so that the command line can
+offer them without importing the library that validates requests.
+"""
 
 from __future__ import annotations
 

@@ -110,7 +110,7 @@ class Interrupter:
         return dataclasses.replace(whole, devices={name: self.link}, mounts=mounts, **roles)
 
     def answers(self, actions: Mapping[type, Action]) -> Mapping[type, Action]:
-        """Return `actions`, all carried out by `perform`."""
+        """Return `actions` wrapped so that each step is carried out by `perform`, which can interrupt it."""
         return {kind: self._breakable(action) for kind, action in actions.items()}
 
     def _breakable(self, action: Action) -> Action:

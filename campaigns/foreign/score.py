@@ -87,6 +87,6 @@ def true_error_um(machine: ForeignMachine, written: WrittenModel | None = None) 
 
 
 def turned_about_the_bar(points: np.ndarray, angle_rad: float) -> np.ndarray:
-    """Return points (n, 3) turned about the X axis."""
+    """Return points (n, 3) rotated about the X axis, which is the axis of the bar."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.asarray(points @ np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]]))

@@ -156,7 +156,7 @@ class Observation:
 
 
 def disturb(scene: DisturbedMachine, kind: str, rng: Random) -> Observation:
-    """Disturb the run now, and arrange that it ends if it goes on."""
+    """Disturb the run now. If the disturbance does not end the run, request its abort later."""
     assert scene.probe is not None
     moving = scene.world.controller.motion is MotionState.MOVING
     seen = Observation(kind, scene.clock.now(), moving, scene.probe.touches)

@@ -48,6 +48,7 @@ class RegisterLayout:
     def __init__(self, registers: Sequence[RegisterField], numbers: NumberFormat) -> None:
         self._registers = tuple(registers)
         self._numbers = numbers
+        # "i4x": an int32 in the first two registers of a number, and four bytes that are not used
         codes = {"u16": "H", "u32": "I", "i32": "i", "number": "d" if numbers.kind == "float64" else "i4x"}
         # Repeat the code of each item instead of giving a count: "3d" would work, "3i4x" would not.
         self._struct = struct.Struct(">" + "".join(codes[kind] for kind in self._kinds()))
@@ -91,6 +92,7 @@ class RegisterLayout:
         for register, value in zip(self._registers, values, strict=True):
             flat.extend((value,) if register.count == 1 else value)
         for index in self._scaled:
+            # to the nearest count; truncation would shift every position by half a count on average
             flat[index] = round(flat[index] / self._numbers.scale)
         try:
             return self.reordered(self._struct.pack(*flat))
@@ -115,8 +117,10 @@ class RegisterLayout:
         at = 0
         for kind in self._kinds():
             registers = _REGISTERS[kind]
+            # Only the registers that carry the value change places; the two unused registers of an int32 stay last.
             valued = 2 if kind == "number" and self._numbers.kind == "int32" else registers
             words = [*(range(valued - 1, -1, -1) if words_reversed else range(valued)), *range(valued, registers)]
+            # a u16 is big-endian on every controller: the Modbus specification defines it so
             first, second = (1, 0) if low_byte_first and registers > 1 else (0, 1)
             for word in words:
                 yield from (at + 2 * word + first, at + 2 * word + second)

@@ -164,13 +164,17 @@ class ModbusMotion:
             if status.state is MotionState.HELD:
                 held_deadline = held_deadline or Deadline.after(clock, settings.max_hold_s)
                 self._require_resumed(held_deadline)
+                # the time of a hold at the machine does not count
                 deadline.restart()
                 pause_s = slice_s
             else:
                 held_deadline = None
                 deadline.raise_if_expired(code.label, session.where)
+                # Equal parts end exactly at the predicted end: no short last slice, and no poll just before it.
                 pause_s = _equal_slice_s(end_s - clock.now(), slice_s)
                 if pause_s < fine_s:
+                    # Late motions are polled finely at first, then more and more rarely, so that a stalled one does not
+                    # load the link.
                     pause_s, fine_s = fine_s, min(1.5 * fine_s, COARSEST_FINE_POLL_S, slice_s)
             clock.sleep(pause_s)
             status = session.poll()
@@ -178,6 +182,7 @@ class ModbusMotion:
 
     def _slice_s(self, interval_s: float) -> float:
         """Return the pause in s between polls: the interval minus a poll's transmission time, with a lower bound."""
+        # on a slow serial line the exchange itself takes a good part of the interval
         return max(interval_s - self._session.poll_wire_time_s, self._session.settings.fine_poll_interval_s)
 
     def _predicted_s(self, start: Triple, target: Triple, feed_mm_per_s: float | None) -> float:

@@ -30,6 +30,7 @@ from drivers.modbus_cnc.registers import BlockLayouts, CommandBlock, ControllerL
 from drivers.modbus_cnc.settings import ModbusCncSettings
 from drivers.roles import MotionState
 
+# The controller writes an image within one cycle, so a second read normally finds it complete.
 HALF_WRITTEN_READS = 5
 URGENT_WITHIN_S = 1.0
 """Wall-clock time within which HOLD, RESUME and STOP must be acknowledged."""
@@ -165,6 +166,7 @@ class ModbusSession:
     def _require_same_controller(self) -> None:
         """Raise ProtocolError if the controller behind a restored link is not in the state in which it was left."""
         status = self.read_status_unchecked()
+        # Another number means that another master has sent commands, or that the controller has restarted.
         if status.acknowledge not in (self._acknowledged, self._unacknowledged or self._acknowledged):
             raise self._foreign_sequence(status.acknowledge)
 
@@ -228,6 +230,7 @@ class ModbusSession:
         if status.acknowledge == self._unacknowledged != 0:
             self._results[status.acknowledge] = status.result
             self._acknowledged, self._unacknowledged = status.acknowledge, 0
+            # a STOP may overtake a command, so a few earlier results are still asked for; older ones never are
             while len(self._results) > 4:
                 del self._results[next(iter(self._results))]
         elif status.acknowledge not in self._results:
@@ -265,6 +268,7 @@ class ModbusSession:
         return self._heartbeat
 
     def _next_sequence(self) -> int:
+        # 1 … 65535: 0 means that the controller has acknowledged nothing yet
         self._sequence = self._sequence % 0xFFFF + 1
         return self._sequence
 

@@ -39,6 +39,7 @@ SYNCHRONISE = "="
 
 If a previous user has sent part of a line, this completes that part to an invalid line.
 """
+# A board that resets when the port is opened loses the queries that come during its boot.
 BOOT_QUERY_EVERY_S = 0.25
 LATE_WITHIN_S = 0.02
 
@@ -195,6 +196,7 @@ class Conversation:
         A report that has not come by then was lost, or the controller has answered two queries by one report.
         """
         while self._unanswered:
+            # the latest query: reports come in order, so after its time no earlier one is due either
             deadline_s = self._unanswered[-1] + self.settings.response_timeout_s
             try:
                 if self._seconds() >= deadline_s or not self._read_one(deadline_s):
@@ -215,6 +217,8 @@ class Conversation:
         """
         sent = SentLine(line)
         deadline_s = self._seconds() + self.settings.response_timeout_s
+        # Character counting, as GRBL documents it: lines without an answer still occupy the controller's receive
+        # buffer, whose overflow loses characters without notice.
         while self._pending and self._buffered(line) >= self.settings.receive_buffer:
             if not self._read_one(deadline_s):
                 raise LinkTimeout("the controller accepts no further line: its buffer is full", **self.where)
@@ -350,6 +354,7 @@ class Conversation:
                 self.probe_results.append(line)
             case WelcomeLine():
                 self.restarts += 1
+                # The controller may have received lines just before it restarted, and answer them afterwards.
                 self._orphans = len(self._pending)
                 self._pending.clear()
                 self._unanswered.clear()

@@ -177,6 +177,7 @@ class SerialMotion:
     def _require_no_restart(self, unexpected_restarts: int, what: str) -> None:
         if self._tracker.unexpected_restarts == unexpected_restarts:
             return
+        # The axes coast when the controller restarts in motion, so its position afterwards is not theirs.
         self._tracker.position_lost = True
         raise MotionFault(
             f"the controller has restarted in the middle of a {what}",

@@ -12,11 +12,10 @@ TABLES = "tables"
 
 
 def prepare_work_directory(configuration: Path, components: Path, work: Path) -> None:
-    """Copy LinuxCNC's INI, HAL (hardware abstraction layer) and tool files and the HAL files of the components.
+    """Copy the INI, HAL (hardware abstraction layer) and tool files of a LinuxCNC configuration and the HAL files of
+    the components to `work`.
 
-    A directory for compensation tables is created as well.
-
-    The agent's settings are not copied.
+    A directory for compensation tables is created as well. The agent's settings are not copied.
     """
     if not configuration.is_dir():
         raise ConfigurationError("no such directory", file=str(configuration))

@@ -19,6 +19,7 @@ from twin.machine.machine_description import MachineDescription
 from twin.machine.machine_population import family_from_amplitudes
 from twin.machine.true_machine import TrueMachine
 
+# A prime, far larger than the number of nights of any campaign.
 _SEED_OFFSET_PER_NIGHT = 1_000_003
 """Seed offset between consecutive nights, so that no two nights share noise."""
 
@@ -59,6 +60,7 @@ def seasonal_change(model: ErrorModel, ageing: AgeingSettings) -> Array:
         AXES, ageing.seasonal_um_per_m, ageing.phases_deg, model.ranges_mm, strict=True
     ):
         phase, turned = math.radians(phase_deg), 2.0 * math.pi * ageing.night / ageing.season_nights
+        # minus the value of night 0, for which the scenario states the errors
         scale = 1e-6 * amplitude * (math.sin(turned + phase) - math.sin(phase))
         if scale:
             change[_place(model, f"E{axis}{axis}[1]")] = 0.5 * scale * (high - low)

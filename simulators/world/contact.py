@@ -57,6 +57,8 @@ class ContactSolver:
         (x, y, z), (dx, dy, dz), within = start, path.direction, path.length + self._reach + _ROUNDING_MM
         for ball, apparent in enumerate(self._apparent(snapshot)):
             ahead = (apparent[0] - x) * dx + (apparent[1] - y) * dy + (apparent[2] - z) * dz
+            # A ball behind the start or beyond the end cannot be met first; this cheap test spares the square root for
+            # most balls.
             if not 0.0 < ahead <= within or ball == resting:
                 continue
             distance = entry_distance(start, path, apparent, self._reach)

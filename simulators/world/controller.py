@@ -34,6 +34,7 @@ from twin.collision.motion_law import MotionLaw, straight_path, trapezoid
 from twin.machine.machine_description import MachineDescription
 
 LIMIT_TOLERANCE_MM = 1e-6
+# a person jogs slowly: 20 mm/s are 1.2 m/min
 JOG_MM_PER_S = 20.0
 
 
@@ -273,6 +274,8 @@ class Controller:
         resting = self._contacted_ball(snapshot) if self._deflected else None
         self._shift.drift = self._thermal.drift_mm(self.now_s)
         self._shift.thermal = self._thermal.field(self.now_s)
+        # Noise by step keeps the readings of a resumed run equal to those of an uninterrupted one, although the numbers
+        # of their motions differ.
         step = BY_STEP + self._tag if self._by_step and self._tag else None
         self._shift.play = self._play.after(self._position, command.target, step)
         events = self._lookahead.events_on(command, snapshot, resting, self._touches if step is None else step)
@@ -317,6 +320,7 @@ class Controller:
         assert motion is not None  # noqa: S101  checked by the callers
         motion.ends_in, motion.reason = ends_in, motion.reason or reason
         forecast = motion.forecast
+        # After a trip the axes brake already, along the law of the forecast.
         if forecast.trip_s is not None and self.now_s >= forecast.trip_s:
             return
         motion.law = motion.law.braked_from(self.now_s, motion.command.acceleration)
@@ -337,6 +341,7 @@ class Controller:
     def _arrive(self, motion: _Motion) -> None:
         forecast, command = motion.forecast, motion.command
         interrupted = forecast.trip_s is not None or forecast.crash is not None
+        # A path that was braked ends short of its target; rounding must not make a complete one look short.
         complete = not interrupted and forecast.law.end_distance >= command.path.length - 1e-9
         self._position = command.target if complete else command.path.at(forecast.law.end_distance)
         self._motion = None

@@ -41,6 +41,7 @@ class PlayOperator:
             return ZERO
         noise = self._noise.normal(self._motions if step is None else step) if self._sigma_mm else ZERO
         moved = [abs(e - s) > STILL_MM for s, e in zip(start, end, strict=True)]
+        # An axis that stands still keeps its lag and its scatter; a motion of the others does not move its slide.
         lag = [self._taken_up(axis, start[axis], end[axis]) if moved[axis] else self._lag[axis] for axis in range(3)]
         scatter = [self._sigma_mm * noise[axis] if moved[axis] else self._scatter[axis] for axis in range(3)]
         self._lag, self._scatter = point(lag), point(scatter)

@@ -75,6 +75,7 @@ def forecast_motion(law: MotionLaw, events: PathEvents, deceleration: float) -> 
     trip_s = None
     if events.trip_mm is not None and events.trip_mm <= law.end_distance:
         trip_s = law.time_at(events.trip_mm)
+        # The trip shortens the path first: a collision beyond the braked end does not happen.
         law = law.braked_from(trip_s, deceleration)
     crash = events.crash if events.crash and events.crash.distance <= law.end_distance else None
     if crash is not None:

@@ -73,6 +73,7 @@ class MountPhysics:
         }
         self._on_turn = on_turn
         self._errors = _MountErrors(behaviour, seed, name)
+        # both axes turning at once: at most the sum of their speeds, whatever the angle between them
         self._fastest = 2.0 * behaviour.speed_deg_per_s
         self.now_s = 0.0
 
@@ -157,6 +158,7 @@ class _MountErrors:
     def angles_rad(self, azimuth_deg: float, elevation_deg: float) -> tuple[float, float]:
         azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
         first, second = (
+            # The phases 1 and 2 rad are arbitrary; the amplitudes are random.
             math.radians(one * math.sin(angle + 1.0) + two * math.sin(2.0 * angle + 2.0))
             for angle, (one, two) in zip((azimuth, elevation), self._index_deg.tolist(), strict=True)
         )

@@ -29,6 +29,7 @@ class NoiseSource:
         block, place = divmod(counter, _BLOCK)
         if block not in self._blocks:
             rng = np.random.default_rng([*self._key, block])
+            # only the latest block is kept, because counters rise
             self._blocks = {block: rng.standard_normal((_BLOCK, 3)).tolist()}
         return self._blocks[block][place]
 

@@ -62,7 +62,9 @@ class PathLookahead:
         trip_mm = contact.distance + self._trigger.travel_mm(command.path.direction, touch)
         # Braking distance after the trip: v² / (2 a).
         stopped = trip_mm + 0.5 * command.speed**2 / command.acceleration
+        # A probe that is pressed further than its overtravel breaks, even if the trip came in time.
         spent = tip_crash(snapshot.ball_names[contact.ball], contact.distance + self._trigger.overtravel_mm)
+        # until the axes stand, since other bodies move on while they brake
         swept = self._first_collision(command, snapshot, stopped, contact.ball)
         return PathEvents(max(trip_mm, 0.0), earliest(spent, swept), free_mm)
 

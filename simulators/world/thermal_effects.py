@@ -45,6 +45,7 @@ class ThermalEffects:
         sensor.
         """
         s = self._settings
+        # a sensor shows the temperature of `sensor_lag_s` ago
         then_s = max(now_s - s.sensor_lag_s, 0.0)
         readings = {ARTEFACT: self.state.artefact_c(then_s), MACHINE: self.state.machine_c(then_s)}
         readings[AMBIENT] = self.state.ambient_c(then_s)
@@ -57,6 +58,8 @@ class ThermalEffects:
         offset = s.sensor_offset_k.get(name, 0.0)
         if s.sensor_noise_k == 0.0:
             return offset
+        # The instant names the random number: asking twice at one instant gives one reading, and the order of requests
+        # does not matter.
         reading = generator(self._seed, f"thermometer {name} {round(1e3 * now_s)}")
         return offset + s.sensor_noise_k * float(reading.standard_normal())
 

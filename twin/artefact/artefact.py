@@ -108,6 +108,7 @@ class Artefact:
     @property
     def droop_mm(self) -> Array:
         """Distance (N,) in mm by which each ball hangs below the middle if the bar is horizontal."""
+        # the bar hangs as two cantilevers clamped at the mount, so the distance from the middle counts on either side
         along = np.abs(self.balls[:, 0]) / max(self.half_length_mm, 1e-9)
         return np.asarray(self.sag_mm * _droop(along))
 
@@ -185,6 +186,7 @@ def _droop(along: Array) -> Array:
 
     `along`: distance from the middle support (0) to the end (1).
     """
+    # w x² (6 L² - 4 L x + x²) / 24 EI, divided by its value w L⁴ / 8 EI at x = L
     return along**2 * (6.0 - 4.0 * along + along**2) / 3.0
 
 

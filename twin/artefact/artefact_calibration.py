@@ -95,9 +95,11 @@ def artefact_calibration(balls: Array, factor: Array, errors: Array, covariance:
     `balls` (N, 3) in mm are the centres of the artefact file, and `factor` (3N, m) is a matrix L in mm such that L Lᵀ
     is their covariance. The estimate has the errors L u, and `errors` (m,) and `covariance` (m, m) are those of u.
     """
+    # A priori u has the unit covariance; if it still has, the measurement has taught nothing about the artefact.
     if not np.abs(np.eye(len(covariance)) - covariance).max(initial=0.0) > _INFORMATION:
         return None
     free, before = without_motions(balls), factor @ factor.T
+    # the covariance F L C Lᵀ Fᵀ of the centres F L u, where F removes rigid motions
     after = free @ factor @ covariance @ factor.T @ free
     found, stated = (np.diagonal(one).reshape(-1, 3).sum(axis=1) for one in (after, free @ before @ free))
     return ArtefactCalibration(

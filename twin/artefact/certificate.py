@@ -87,6 +87,7 @@ def has_certificate(balls: Array, covariance: Array) -> bool:
     `balls` (N, 3) in mm and `covariance` (3N, 3N) in mm² are the centres and their covariance. Uncertainties of the
     artefact's frame and of a common scale do not count.
     """
+    # A length can be certified although the scale is poor, and a frame is a convention: neither is part of the shape.
     free = without_motions(balls, scale=True)
     variances = np.diagonal(free @ covariance @ free).reshape(-1, 3).mean(axis=1)
     return bool(np.median(variances) <= CERTIFIED_MM**2)
@@ -126,6 +127,7 @@ def known_length(balls: Array, covariance: Array, pair: tuple[int, int]) -> Ball
 def with_length_uncertainty(balls: Array, covariance: Array, uncertainty_ppm: float) -> Array:
     """Return the covariance (3N, 3N) in mm² of the centres `balls` (N, 3) with a common relative uncertainty of all
     lengths added."""
+    # a common strain ε displaces every centre by ε times its vector from the middle: covariance u² a aᵀ
     arms = (balls - balls.mean(axis=0)).reshape(-1)
     return np.asarray(covariance + (uncertainty_ppm * _PER_PPM) ** 2 * np.multiply.outer(arms, arms))
 
@@ -143,6 +145,7 @@ def with_uncertified(covariance: Array, balls: Sequence[int]) -> Array:
         )
     widened = covariance.copy()
     rows = np.array([3 * ball + axis for ball in balls for axis in range(3)], dtype=np.int64)
+    # Correlations with the certified balls would carry the doubt over to them.
     widened[rows, :] = widened[:, rows] = 0.0
     widened[rows, rows] = UNCERTIFIED_MM**2
     return widened

@@ -70,6 +70,7 @@ def held_out_residuals(observations: Observations, tool_points: Array, artefact:
             raise DataError(f"a position with {len(rows)} balls cannot be placed", hint="three are needed")
         placed[rows] = _placed(observations, artefact, rows, tool_points[rows])
         freedom += 3 * len(rows) - 6
+    # Σr² / freedom estimates the variance of one coordinate, and a ball has three.
     residuals = tool_points - placed
     return HeldOutResiduals(placed, residuals, float(np.sqrt(3.0 / freedom * np.sum(residuals**2))), freedom)
 

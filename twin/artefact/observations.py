@@ -59,6 +59,7 @@ class Observations:
         self._check_duplicates()
         for one in fields(self):
             if getattr(self, one.name) is not None:
+                # A later change of a value would escape these checks.
                 getattr(self, one.name).setflags(write=False)
 
     @property
@@ -126,6 +127,7 @@ class Observations:
 
     def _check_duplicates(self) -> None:
         seen: dict[tuple[object, ...], int] = {}
+        # a ball measured again in another thermal state is a new measurement, not a duplicate
         thermal_states = map(tuple, self.thermal_regressors.tolist())
         keys = zip(self.position.tolist(), self.tool.tolist(), self.ball.tolist(), thermal_states, strict=True)
         for row, key in enumerate(keys):
@@ -155,6 +157,7 @@ def _positive_definite(covariance: Array) -> np.ndarray[Any, np.dtype[np.bool_]]
     deviation = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
     c = covariance / (deviation[:, :, None] * deviation[:, None, :])
     a, b, d = c[:, 0, 1], c[:, 0, 2], c[:, 1, 2]
+    # determinant of a correlation matrix with the off-diagonal elements a, b, d
     determinant = 1.0 + 2.0 * a * b * d - a * a - b * b - d * d
     return np.asarray(positive & (a * a < 1.0) & (determinant > 1e-12))
 

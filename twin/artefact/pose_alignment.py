@@ -40,6 +40,7 @@ def choose_alignment_balls(centres: Array, balls: Sequence[int]) -> AlignmentBal
     """
     points = centres[list(balls)]
     distances = np.triu(np.linalg.norm(points[:, None] - points[None], axis=2))
+    # among pairs equally far apart, the first in the order of the numbers
     first, last = (int(index) for index in np.argwhere(distances > distances.max() - _EQUAL_MM)[0])
     ends = balls[first], balls[last]
     return AlignmentBalls(ends, choose_third_ball(centres, balls, ends))
@@ -82,6 +83,7 @@ def align_to_third_ball(aligned: Array, first: int, last: int, third: int, found
     """
     line = aligned[last] - aligned[first]
     line = line / np.linalg.norm(line)
+    # parts across the line; their lengths may differ, only their directions are made to agree
     across, found_across = (
         point - aligned[first] - (point - aligned[first]) @ line * line for point in (aligned[third], found_third)
     )

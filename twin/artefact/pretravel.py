@@ -78,6 +78,7 @@ def fit_pretravel(directions: Array, residuals_mm: Array, stylus_axis: Array) ->
     left = residuals_mm - square @ found
     return PretravelMap(
         stylus_axis=stylus_axis,
+        # H⊥ c = H c - S (S⁺H c): the terms of centre and radius take the negative of what the harmonics contain of them
         coefficients_mm=np.concatenate((-absorbed @ found, found)),
         noise_mm=float(np.sqrt(left @ left / (touches - unknowns))),
         largest_mm=float(np.abs(square @ found).max()),
@@ -92,6 +93,7 @@ def _terms(directions: Array, stylus_axis: Array) -> Array:
     and a the angle about it.
     """
     first, second = perpendiculars(stylus_axis)
+    # a touch approaches against the outward normal
     normals = -directions
     height, x, y = normals @ -stylus_axis, normals @ first, normals @ second
     width, angle = np.hypot(x, y), np.arctan2(y, x)

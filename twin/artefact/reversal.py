@@ -79,6 +79,8 @@ def plan_oblique_touches(axis: int, stylus_axis: Array) -> tuple[ObliqueTouch, O
     front[ahead] = -np.sign(stylus_axis[ahead])
     if abs(abs(float(stylus_axis[ahead])) - 1.0) > 1e-9:
         raise DataError("the stylus does not point along a machine axis")
+    # A lateral axis is tested by touches along the stylus. The stylus axis is tested by touches along a lateral axis:
+    # the same two inclined points, met from the side.
     beside = axis if axis != ahead else next(other for other in range(AXIS_COUNT) if other != ahead)
     along = ahead if axis != ahead else beside
     first, second = (_touch_point(axis, along, front, beside, side) for side in (1.0, -1.0))
@@ -120,6 +122,7 @@ def fit_lost_motion(
     freedom = len(reading) - len(numbers) - 1
     left = reading - value * lever
     scatter = math.sqrt(float(left @ left) / freedom) if freedom > 0 else 0.0
+    # A few touches that happen to agree would state too small an uncertainty; the probe's repeatability is its floor.
     return LostMotion(value, max(scatter, floor_mm) / math.sqrt(strength), len(reading))
 
 

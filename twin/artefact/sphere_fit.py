@@ -59,6 +59,8 @@ def fit_sphere(points: Array, sigma_mm: float, radius: float | None = None, near
     points = np.asarray(points, dtype=np.float64)
     _check(points, sigma_mm, radius)
     given: Points = points.tolist()
+    # Relative to the mean and in units of the spread: the sums of squares then keep their digits far from the origin,
+    # and the tolerances are relative.
     origin, spread = _frame(given)
     local = [[(value - middle) / spread for value, middle in zip(p, origin, strict=True)] for p in given]
     if near is None:

@@ -56,7 +56,9 @@ def _line_frame(balls: Array) -> Array | None:
     weights, axes = np.linalg.svd(offset)[1:]
     if len(weights) > 1 and weights[1] > _STRAIGHT * weights[0]:
         return None
+    # The sign of a singular vector is arbitrary; the frame must not depend on the library that computes it.
     line = axes[0] * np.sign(axes[0, np.abs(axes[0]).argmax()])
+    # any direction across the line will do, but the axis that is most across it gives the best-conditioned product
     lateral = np.cross(np.eye(3)[np.abs(line).argmin()], line)
     lateral /= np.linalg.norm(lateral)
     return np.column_stack((line, lateral, np.cross(line, lateral)))

@@ -87,6 +87,8 @@ def known_radius_covariance(directions: Array, touch_sigma_mm: float, radius_sig
     known radius has the standard uncertainty `radius_sigma_mm`. An error of the radius shifts the centre, so it
     contributes to the covariance.
     """
+    # A unit sphere serves as well as the ball: the covariance depends on the directions and the noise, not on the
+    # radius.
     given = fit_sphere(-directions, touch_sigma_mm, 1.0, near=np.zeros(3)).centre_covariance
     moved = centre_shift_per_radius(directions)
     return given + radius_sigma_mm**2 * np.outer(moved, moved)
@@ -99,6 +101,8 @@ def centre_shift_per_radius(directions: Array) -> Array:
     times ε. The ball is touched k times along the unit vectors `directions` (k, 3), which point towards the ball. The
     shift δ is the least-squares solution of the k equations d·δ = ε, with one equation for each direction d.
     """
+    # A radius too large by ε pushes every fitted surface point outwards by ε; the centre yields along the touches, d·δ
+    # = ε.
     return np.asarray(np.linalg.lstsq(directions, np.ones(len(directions)), rcond=None)[0])
 
 
@@ -110,6 +114,7 @@ def redundancies(directions: Array) -> Array:
     element of the hat matrix. If the redundancy number is 0, an error of the touch cannot be detected, because no other
     touch checks it. An example is the touch at the pole in the five-touch pattern.
     """
+    # Q Qᵀ of the QR decomposition is the hat matrix J (JᵀJ)⁻¹Jᵀ.
     jacobian = np.column_stack([-directions, np.ones(len(directions))])
     basis = np.linalg.qr(jacobian)[0]
     left = 1.0 - np.einsum("ij,ij->i", basis, basis)
@@ -120,6 +125,7 @@ def perpendiculars(pole: Array) -> tuple[Array, Array]:
     """Return two unit vectors that are perpendicular to `pole` and to each other. If `pole` is parallel to a machine
     axis, both vectors are also parallel to machine axes.
     """
+    # the machine axis farthest from the pole, made perpendicular to it (Gram-Schmidt)
     axis = np.eye(3)[np.argmin(np.abs(pole))]
     first = axis - pole * (axis @ pole)
     first /= np.linalg.norm(first)

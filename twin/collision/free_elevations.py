@@ -54,6 +54,8 @@ def free_elevations(artefact: Artefact, mount: MountGeometry, height_mm: float) 
     x, y, z = points.T
     across, up = x * cosines - z * sines, mount.up * (x * sines + z * cosines)
     above_table = (up - radii).min(axis=1) + height_mm
+    # below its head the pedestal is a cylinder, so only the horizontal distance counts; above, the height over the
+    # head, too
     beyond_head = np.maximum(up - mount.head_mm, 0.0)
     from_pedestal = np.sqrt(across**2 + y**2 + beyond_head**2) - radii - mount.pedestal_radius_mm
     apart = {"table": above_table, "pedestal": from_pedestal.min(axis=1)}
@@ -63,6 +65,7 @@ def free_elevations(artefact: Artefact, mount: MountGeometry, height_mm: float) 
     hits = {name: distance < CLEARANCE_MM for name, distance in apart.items()}
     hit = np.any(list(hits.values()), axis=0)
     struck = np.flatnonzero(hit)
+    # The mount passes all elevations on its way, so the range ends at the first hit on either side of elevation 0.
     below, beyond = struck[struck <= middle], struck[struck >= middle]
     first = int(below.max()) + 1 if below.size else 0
     last = int(beyond.min()) - 1 if beyond.size else len(angles) - 1

@@ -23,6 +23,8 @@ from twin.collision.geometry import Point
 from twin.collision.motion_law import travel_times
 from twin.collision.sphere_prefilter import SceneSpheres, SpherePrefilter
 
+# From 32 mm on, each is 1.4 to 1.5 times the one before: a retract that is longer than needed by a share costs that
+# share of its time, whatever its size.
 RETRACTS_MM = (0.0, 4.0, 8.0, 14.0, 22.0, 32.0, 45.0, 65.0, 95.0, 140.0, 200.0, 300.0)
 """Retract distances of the candidates in mm, measured from whichever of start and end is nearer to the ram."""
 CORNER_FRACTIONS = (0.0, 0.15, 0.5, 0.85, 1.0)
@@ -149,8 +151,11 @@ def fastest_path(
     free. If several free candidates are equally fast, the first of them is returned.
     """
     stops = _stops(start, candidates.corners, end)
+    # A repeated last corner is a move of zero length, so the time of a short path is right; only its commands must be
+    # counted apart.
     seconds = dynamics.moving_seconds(stops) + dynamics.command_s * (candidates.counts + 1)
     spheres = SpherePrefilter(prefiltered.spheres, clearances.clearance_mm, clearances.reduced_mm)
+    # Many candidates share their first or their last move, whose test costs far more than the look-up.
     proved: dict[tuple[Point, Point], bool] = {}
 
     def free(leg: tuple[Point, Point]) -> bool:
@@ -202,10 +207,12 @@ def retract_candidates(
     first, last = np.array(start), np.array(end)
     # Coordinates against `back`; each retract gives a plane in which the probe crosses over.
     begins, ends = float(first @ -back), float(last @ -back)
+    # Measured from the end nearer to the ram, a retract of 0 already clears the step between both ends.
     planes = np.array(sorted({max(min(begins, ends) - retract, limit) for retract in RETRACTS_MM}))
     out = first + (begins - planes)[:, None] * back
     if lateral is not None:
         beside = math.hypot(*lateral.tolist())
+        # at least `lateral` itself, then in proportion to the retract
         sideways = np.maximum(1.0, RETRACT_SLANT / beside * (begins - planes))
         out = out + sideways[:, None] * (lateral - (lateral @ back) * back)
     over = last + (ends - planes)[:, None] * back

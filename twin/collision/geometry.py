@@ -26,6 +26,7 @@ parallel.
 """
 
 CONTACT_TOLERANCE_MM = 1e-6
+# a guard: the steps converge quadratically
 _MAX_TANGENTS = 60
 _TINY = 1e-12
 _ORIGIN: Point = (0.0, 0.0, 0.0)
@@ -118,6 +119,8 @@ def swept_contact(
         distance, (nx, ny, nz) = _separation_at(moving, here, obstacle)
         # Newton step on the distance along the motion: fraction -= (distance - clearance) / (normal · displacement)
         slope = nx * displacement[0] + ny * displacement[1] + nz * displacement[2]
+        # The distance is convex along the motion: once it no longer falls, it never will. A NaN slope (bodies that
+        # coincide) is not ≥ 0 and counts as a contact.
         if slope >= 0.0:
             return None
         gap = distance - clearance_mm
@@ -181,6 +184,7 @@ def _axes(first: Capsule, second: Capsule) -> _Axes:
     vx, vy, vz = bx - ax, by - ay, bz - az
     uu, vv, uv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, ux * vx + uy * vy + uz * vz
     determinant = uu * vv - uv * uv
+    # A determinant within rounding of zero means parallel axes; dividing by it would give an arbitrary point.
     return ux, uy, uz, vx, vy, vz, uu, vv, uv, determinant if determinant > _TINY * uu * vv else 0.0
 
 
@@ -193,6 +197,8 @@ def _gap_of_axes(axes: _Axes, x: float, y: float, z: float) -> Point:
     """
     ux, uy, uz, vx, vy, vz, uu, vv, uv, determinant = axes
     along_u, along_v = ux * x + uy * y + uz * z, vx * x + vy * y + vz * z
+    # Closest points of the infinite lines, then clamped one after the other: s to its segment, t for this s, and s
+    # again for the clamped t.
     s = t = 0.0
     if determinant:
         s = (uv * along_v - along_u * vv) / determinant
@@ -230,6 +236,7 @@ def _closest_on_segment_to_box(a: Point, b: Point, lower: Point, upper: Point) -
     for kink in kinks[1:]:
         slope = _slope_to_box(a, d, kink, lower, upper)
         if slope >= 0.0:
+            # the slope is linear between two kinks: interpolate to its root
             s = previous - slope_before * (kink - previous) / (slope - slope_before)
             return a[0] + s * d[0], a[1] + s * d[1], a[2] + s * d[2]
         previous, slope_before = kink, slope
@@ -247,6 +254,7 @@ def _slope_to_box(a: Point, d: Point, s: float, lower: Point, upper: Point) -> f
 
 
 def _between_boxes(lower: Point, upper: Point, second: Box) -> Separation:
+    # the gap between the boxes along each axis, 0 if they overlap there; the distance is the length of this vector
     gap = [
         fl - su if fl > su else fu - sl if fu < sl else 0.0
         for fl, fu, sl, su in zip(lower, upper, second.lower, second.upper, strict=True)

@@ -36,6 +36,7 @@ MIN_SPAN_SHARE = 0.3
 
 EQUALLY_HIGH_MM = 12.0
 """Difference in height up to which one ball may be mistaken for another."""
+# at 100 mm from the vertical, 3° are 5 mm, as much as the clearance
 _TURN_DEG = 3.0
 _MOVING_WITH_TIP = (TIP, "stem")  # the stem follows the tip along the stylus and is thinner
 
@@ -136,6 +137,7 @@ class _Approach:
             return True
         end = self.centres[ball] + self._deepest_mm * self._up
         start = end + max(self.top_mm - float(end @ self._up), 0.0) * self._up
+        # The first descent finds any ball of about this height, so each of them may be the one that was found.
         mistaken = [one for one in range(len(self.centres)) if self._as_high(one, first)]
         return not any(
             Scene(self._probe, self._turned(turn_deg, one, first)).first_hit(

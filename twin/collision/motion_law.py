@@ -133,6 +133,7 @@ def trapezoid(start_s: float, length: float, speed: float, acceleration: float) 
     """
     top, ramp_s, cruise_s = _ramp_and_cruise(length, speed, acceleration)
     # distance of one ramp: v² / 2a
+    # In a triangular profile the ramps meet: top² / a = length, and the time at top speed is 0.
     ramp = 0.5 * top * top / acceleration
     return MotionLaw(
         (

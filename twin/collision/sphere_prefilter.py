@@ -18,6 +18,7 @@ CERTAINTY_MARGIN_MM = 1e-6
 
 It equals the tolerance of the exact search.
 """
+# half the rate at which the squared distance falls; below it the pair hardly approaches, and the quotient is rounding
 _CLOSING_MM2 = 1e-6
 
 
@@ -79,6 +80,7 @@ class SpherePrefilter:
                 continue
             nearest = min(closing / square, 1.0)
             if ax * ax + ay * ay + az * az + nearest * (nearest * square - 2.0 * closing) < reach * reach:
+                # Neighbouring paths mostly hit the same ball, so this pair is tested first the next time.
                 self._reaches.insert(0, self._reaches.pop(index))
                 return True
         return False

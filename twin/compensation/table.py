@@ -22,7 +22,8 @@ from twin.machine.rigid_motion import rigid_fields
 Nodes = tuple[Array, Array, Array]
 
 _LINE_POINTS = 65  # points on an anchor line; the slope of any series is exact to far below a nanometre
-_STEPS = 3  # iterations of c = rigid motion - d(X + c); each reduces the error to 1e-4
+_STEPS = 3  # iterations of c = rigid motion - d(X + c); each reduces the error to 1e-4, the slope of d
+# of the ball bar of the case study: a node within half a ball pitch of the hull has measured balls around it
 _HALF_BALL_PITCH_MM = 75.0
 _LARGEST_STEP_MM = 100.0
 _LEAST_CELLS = 12
@@ -129,6 +130,7 @@ class MeasuredRegion:
         """
         points = as_points(axis_positions, "measured axis positions")
         try:
+            # Qhull refuses points in one plane, as one station with level bars gives them.
             return cls(ConvexHull(points).equations, margin_mm)
         except QhullError:
             outward = np.concatenate((np.eye(3), -np.eye(3)))
@@ -164,6 +166,7 @@ def regular_nodes(ranges_mm: Ranges, step_mm: tuple[float, float, float] | None 
     for axis, (low, high), step in zip(AXES, ranges_mm, step_mm or default_step_mm(ranges_mm), strict=True):
         if not step > 0.0:
             raise ModelError(f"a table step must be positive, not {step}", axis=axis)
+        # 1e-9: a range that is a whole number of steps must not get one cell more by rounding
         cells = max(1, int(np.ceil((high - low) / step - 1e-9)))
         nodes.append(np.linspace(low, high, cells + 1))
     x, y, z = nodes
@@ -246,6 +249,8 @@ def _anchoring_motion(fields: Callable[[Array], Array], nodes: Nodes, anchor: An
     lines = _anchor_points(nodes, anchor)
     held = _constraints(fields(lines), lines, anchor)
     motions = _constraints(rigid_fields(lines, anchor.point_mm, 1.0), lines, anchor)
+    # The six anchor quantities are linear in the motion, and no motion has all of them zero: six equations for six
+    # unknowns.
     return np.asarray(np.linalg.solve(motions, held))
 
 
@@ -264,6 +269,7 @@ def _constraints(fields: Array, points: Array, anchor: Anchor) -> Array:
     """Return the six quantities that the anchor constrains as an array (6, m), for m fields (n, 3, m) at the n anchor
     points."""
     first, second = AXES.index(anchor.primary), AXES.index(anchor.secondary)
+    # the axis numbers 0, 1 and 2 add up to 3
     third = 3 - first - second
     primary, secondary = slice(1, 1 + _LINE_POINTS), slice(1 + _LINE_POINTS, None)
     slopes_first = _slope(points[primary, first], fields[primary])

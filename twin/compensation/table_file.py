@@ -72,7 +72,9 @@ def format_table(table: CompensationTable) -> str:
     points = np.stack(np.meshgrid(*table.nodes, indexing="ij"), axis=-1).reshape(-1, 3)
     lines = [",".join(COLUMNS)]
     for point, correction in zip(points.tolist(), (1e3 * table.corrections.reshape(-1, 3)).tolist(), strict=True):
+        # 10 digits: 4 m to a nanometre
         position = ",".join(f"{value:.10g}" for value in point)
+        # + 0.0 turns a rounded -0.0 into 0.0, so that equal tables give equal bytes and one checksum
         lines.append(position + "," + ",".join(f"{round(value, 4) + 0.0:.4f}" for value in correction))
     return "\n".join(lines) + "\n"
 
@@ -158,6 +160,7 @@ def _corrections(text: str, source: str, nodes: tuple[Array, Array, Array]) -> A
 def _check_node(row: CsvRow, nodes: tuple[Array, Array, Array], node: tuple[np.intp, ...]) -> None:
     for axis, column in enumerate(COLUMNS[:3]):
         expected, found = float(nodes[axis][node[axis]]), row.parse_float(column)
+        # A node elsewhere would apply its correction in a wrong place, whatever the checksum says.
         if abs(found - expected) > 1e-6:
             message = f"{AXES[axis]} is {found:g}, but the grid has {expected:g}"
             raise row.error(message, column, hint="Lines must cover the full grid, x slowest, z fastest")

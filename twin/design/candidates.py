@@ -82,6 +82,7 @@ def orientation_grid(step_deg: float) -> tuple[tuple[float, float], ...]:
             key="grid",
         )
     count = round(steps)
+    # -180° is left out, because it is the same as 180°
     azimuths = [index * step_deg for index in range(1 - 2 * count, 2 * count + 1)]
     elevations = [index * step_deg for index in range(-count, count + 1)]
     return tuple(product(azimuths, elevations))
@@ -128,8 +129,11 @@ def _factors(problem: IdentificationProblem) -> Array:
     zero equations are omitted.
     """
     size = problem.blocks.size
+    # whitened equations, in each position projected on the complement of its six pose unknowns
     rows = CentreEquations.build(problem, unit_weights=False).projected(size)
     rows = problem.layout.pad(rows).reshape(problem.layout.positions, -1, size)
+    # R Rᵀ = V Λ Vᵀ: the rows VᵀR carry the same information WᵀW = RᵀR, and those of λ = 0 are zero. One number of rows
+    # for all positions keeps them in one array.
     strengths, directions = np.linalg.eigh(rows @ rows.transpose(0, 2, 1))
     used = (strengths > _MIN_INFORMATION * strengths.max()).any(axis=0)
     return np.asarray(directions[:, :, used].transpose(0, 2, 1) @ rows)

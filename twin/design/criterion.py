@@ -16,6 +16,7 @@ from twin.machine.rigid_motion import rigid_fields
 from twin.machine.volumetric import VolumetricRms
 
 _CHUNK = 2000  # grid points whose fields are held in memory at a time
+# w² of the cross-effect, or w and a lever arm that grows with the same axis, and one degree to spare
 _CROSS_DEGREE = 3
 
 
@@ -49,6 +50,7 @@ class Criterion:
             nodes, weights = sums.nodes[rows], roots[rows]
             field = (weights * fields.at(nodes)).reshape(-1, fields.size)
             rigid = (weights * rigid_fields(nodes + offset, middle, size_mm)).reshape(-1, 6)
+            # FᵀF, GᵀF and GᵀG, summed over chunks so that the fields of all grid points need not be in memory at once
             gram += field.T @ field
             shared += rigid.T @ field
             motion += rigid.T @ rigid
@@ -109,6 +111,7 @@ class _Fields:
         fields = basis * unknowns.scale
         if unknowns.modes is None:
             return np.asarray(fields)
+        # The modes are given free of what the parameters explain for their tool, for which they need the same basis.
         at_hand = basis if (self.offset == unknowns.modes.tool_offset).all() else None
         return np.concatenate((fields, unknowns.misfit_mm * unknowns.modes.at(points, at_hand)), axis=2)
 

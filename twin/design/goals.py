@@ -66,6 +66,7 @@ class TimeSlotGoal:
             )
 
         def room(chosen: Sequence[int]) -> Mask:
+            # A first position that leaves no time for a second one would end the search with a single position.
             if not chosen:
                 return np.asarray(shortest <= self.minutes)
             return np.asarray(search.costs.total(chosen) + search.costs.marginal(chosen) <= self.minutes)
@@ -87,6 +88,7 @@ class TargetErrorGoal:
         `vce_mm`. The message states the smallest possible VCE.
         """
         candidates = search.candidates
+        # `Selection.value` leaves out the unresolved misfit, which no position reduces; so must the target.
         wanted = self.vce_mm**2 - candidates.form.unresolved_mm2
         floor = candidates.vce(range(candidates.count)).aligned_mm
         if self.vce_mm < floor:

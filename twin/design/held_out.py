@@ -63,6 +63,7 @@ def least_known_positions(
         offered[best] = False
         # C - C Wᵀ (1 + W C Wᵀ)⁻¹ W C with all rows of the measurement
         rows = candidates.factors[best]
+        # W C
         carried = rows @ covariance
         covariance = covariance - carried.T @ np.linalg.solve(np.eye(len(rows)) + carried @ rows.T, carried)
     return selected

@@ -132,6 +132,7 @@ def unseen_covariance(covariance: Array, prior_scale: Array) -> Array:
     """
     used = prior_scale > 0.0
     weights = np.zeros_like(prior_scale)
+    # S² C C in units of the prior is C D⁻² C in mm and rad, where D = diag(prior_scale)
     weights[used] = prior_scale[used] ** -2
     return np.asarray(covariance @ (weights[:, None] * covariance))
 
@@ -142,6 +143,7 @@ def blind_covariance(information: Array, prior_scale: Array) -> Array:
 
     `information` (p, p) is the information matrix of the measurements for parameters in units of `prior_scale` (p,).
     """
+    # N in the units of the parameters, mm and rad
     hidden = prior_scale[:, None] * null_space(information)
     return np.asarray(hidden @ hidden.T)
 

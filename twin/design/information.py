@@ -68,6 +68,8 @@ class InformationState:
     def losses(self, measured: Indices) -> Array:
         """Return the loss (m,) in mm² of each of the m `measured` candidates: the increase of `value` (expected mean
         square error) if one measurement of the candidate is removed."""
+        # Removal is an update with the information -WᵀW (Woodbury): 1 - W C Wᵀ, which is positive definite because C
+        # already contains the position.
         return _ratios(np.eye(self.spread.shape[1]) - self.spread[measured], self.weight[measured])
 
     def after_adding(self, factor: Array) -> InformationState:
@@ -84,6 +86,7 @@ class InformationState:
         """Return the state with covariance C + sign U Uᵀ, where U = C Wᵀ chol(1 - sign W C Wᵀ)⁻ᵀ and W is `factor`."""
         carried = factor @ self.covariance
         root, _ = dpotrf(np.eye(len(factor)) - sign * (carried @ factor.T), lower=1)
+        # U Uᵀ = C Wᵀ (1 - sign W C Wᵀ)⁻¹ W C by forward substitution, without an inverse
         u = dtrtrs(root, carried, lower=1)[0].T
         through = self.form @ u
         inner = u.T @ through

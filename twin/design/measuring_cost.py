@@ -45,6 +45,7 @@ class MeasuringCosts:
     def marginal(self, chosen: Sequence[int]) -> Array:
         """Return the additional minutes (N,) that each candidate would take if it were added to the candidates
         `chosen`."""
+        # stations count from 1, so 0 stands for a mount that is at none
         here = [*{int(self.stations[index]) for index in chosen}, self.standing_at or 0]
         return np.asarray(self.minutes + self.carry_minutes * ~np.isin(self.stations, here))
 

@@ -25,6 +25,7 @@ FeasibleMask = Callable[[Sequence[int]], Mask]
 """Function that takes the chosen indices and returns the mask (N,) of the candidates that may still be added."""
 
 _MIN_DECREASE = 1e-9  # relative decrease of the value below which an exchange is not made
+# a guard: designs of the case study take two to four rounds
 _MAX_ROUNDS = 10
 _ALL_CANDIDATES = 200  # up to this number all candidates take part in an exchange
 
@@ -140,6 +141,7 @@ class ExchangeSearch:
         The number of free candidates is half the number of all candidates. It is raised to `_ALL_CANDIDATES` if there
         are that many.
         """
+        # chosen positions come first whatever their gain, since an exchange needs their factors
         gains = np.where(selection.free, selection.information.gains(), np.inf)
         count = max(len(gains) // 2, min(len(gains), _ALL_CANDIDATES)) + len(selection.chosen)
         return np.sort(np.argsort(-gains, kind="stable")[:count])
@@ -148,6 +150,8 @@ class ExchangeSearch:
         """Return the selection after one position has been exchanged, or the given selection if no exchange lowers the
         value. `kept` (n,) contains the candidate index for each index of the selection."""
         rest = selection.with_removed(index)
+        # The gain of the candidate, seen from the selection without the removed position, must exceed the loss by the
+        # removal.
         needed = rest.value - selection.value * (1.0 - _MIN_DECREASE)
         allowed = room([int(kept[other]) for other in rest.chosen])[kept] & selection.free
         best = self._best(rest.information.gains(), allowed, needed, kept)

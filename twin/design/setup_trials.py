@@ -15,6 +15,7 @@ from twin.design.measurement_setup import SetUp, shortest_reach_mm
 from twin.machine.kinematic_chain import AXES
 from twin.machine.volumetric import QuadraticForm
 
+# A rotation shows as its angle times the lever: with 100 mm more, 10 µrad displace the tip by 1 µm more.
 LENGTHS_MM = (200.0, 100.0, -100.0, -200.0)
 ACROSS_MM = (100.0, -100.0)
 _SAME_TOOL_MM = 1.0
@@ -160,6 +161,7 @@ def _hidden_errors(seen: Identifiability) -> tuple[str, ...]:
 
 def _trial_tool(set_up: SetUp, axis: int, by_mm: float, lateral: bool) -> TrialTool:
     offset = set_up.procedure.layout().tool_offset_mm.copy()
+    # a longer probe moves the tip away from the ram, which is the negative direction if the offset is negative
     backwards = not lateral and offset[axis] < 0.0
     offset[axis] += -by_mm if backwards else by_mm
     return TrialTool(offset, by_mm, axis, lateral)

@@ -62,6 +62,7 @@ def valuation(
 def _covariances(problem: IdentificationProblem) -> tuple[Array, Array]:
     precision = PriorPrecision(problem.blocks, problem.known)
     matrix = CentreEquations.build(problem, unit_weights=False).matrix
+    # the posterior of no measurement is the prior
     nothing = np.zeros_like(matrix)
     return (
         Posterior.of(nothing, precision, Scales()).covariance,

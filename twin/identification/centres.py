@@ -53,6 +53,7 @@ class CentreEquations:
         whitening = _whitening(problem.observations.covariance, unit_weights)
         weight = layout.pad(whitening)
         projector = PoseProjector.of(layout, jacobian, weight)
+        # QᵀWA is computed as (WᵀQ)ᵀA: Q has 6 columns, A hundreds, so WA is never formed
         carrier = weighted(weight.swapaxes(2, 3), projector.q.reshape(*weight.shape[:3], -1))
         by_position = problem.design.reshape(layout.positions, -1, problem.blocks.size)
         parts = carrier.reshape(projector.q.shape).transpose(0, 2, 1) @ by_position
@@ -63,7 +64,9 @@ class CentreEquations:
             weight=weight,
             projector=projector,
             parts=parts,
+            # (WA)ᵀ(1 - Q Qᵀ)(WA) = (WA)ᵀ(WA) - (QᵀWA)ᵀ(QᵀWA)
             matrix=_gram(weight, problem.design) - parts.T @ parts,
+            # Each direction of a pose that the balls determine uses up one equation.
             rows=3 * problem.observations.size - projector.seen,
         )
 
@@ -79,6 +82,7 @@ class CentreEquations:
         white = self._whitened(left - poses.to_workpiece(layout, local))
         increments = self.projector.increments(white)
         poses = poses.moved(increments, self.problem.arms)
+        # The first order of a pose change is projected out anyway; only a larger step leaves a second order behind.
         if np.abs(increments).max() > _LINEAR_MM:
             white = self._whitened(left - poses.to_workpiece(layout, local))
         # y = W (A z - exact residual): solving A z' = y gives the next iterate z' itself, not its step
@@ -119,6 +123,7 @@ class CentreEquations:
         found = self.projected(size)
         q = layout.unpad(self.projector.q.reshape(*self.weight.shape[:3], 6))
         noise = self.whitening @ self.problem.observations.covariance @ self.whitening.transpose(0, 2, 1)
+        # tr((1 - Q Qᵀ) C) = tr C - tr(Qᵀ C Q)
         total = np.einsum("nii->", noise) - np.einsum("nij,nij->", q, noise @ q)
         return found.reshape(-1, size).T @ (noise @ found).reshape(-1, size), float(total)
 
@@ -139,7 +144,10 @@ def _whitening(covariance: Array, unit_weights: bool) -> Array:
     the unit matrix for all rows."""
     variance = np.einsum("nii->ni", covariance)
     if unit_weights:
+        # The common factor does not change the estimate, but keeps χ² and the scale of the noise comparable with full
+        # weights.
         return np.broadcast_to(np.eye(3) / np.sqrt(np.median(variance.mean(axis=1))), covariance.shape)
+    # diagonal covariances, the usual case, need no factorisation
     if np.count_nonzero(covariance) == variance.size:
         return np.asarray(np.eye(3) / np.sqrt(variance)[:, :, None])
     return np.linalg.inv(np.linalg.cholesky(covariance))

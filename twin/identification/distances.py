@@ -148,9 +148,13 @@ def _position(
     pair = np.arange(len(first))
     pick[pair, first - start], pick[pair, second - start] = line, -line
     covariance = problem.observations.covariance[start:end]
+    # Propagation Lᵀ C L of the noise of the centres to the distances: the rows of L are the directions of the pairs,
+    # with opposite signs at both ends.
     weighted = np.einsum("mic,icd->mid", pick, covariance).reshape(len(first), -1)
     flat = pick.reshape(len(first), -1)
     spread = weighted @ flat.T
+    # m distances of n balls have at most 3n - 6 independent combinations (fewer on a line), so their covariance is
+    # singular: hence the pseudo-inverse.
     whitening = _whitening(spread, dependent) if unit is None else np.eye(len(first)) / unit
     rows = whitening @ (flat @ design.reshape(3 * (end - start), -1))
     return PositionPairs(first, second, whitening), rows, whitening @ spread @ whitening.T
@@ -161,6 +165,7 @@ def _truncate(design: Array, cut_off: float) -> float:
     p), in place. Return the sum of the squares of the removed singular values."""
     _, values, directions = np.linalg.svd(design, full_matrices=False)
     retained = directions[values >= cut_off * values[0]]
+    # A V_r V_rᵀ
     design[:] = (design @ retained.T) @ retained
     return float(np.sum(values[len(retained) :] ** 2))
 
@@ -177,4 +182,5 @@ def _unit_deviation(problem: IdentificationProblem) -> float:
     """Return the standard deviation in mm that is used for all distances. It is the standard deviation of the
     difference of two typical coordinates."""
     variances = np.einsum("nii->n", problem.observations.covariance) / 3.0
+    # the variances of both ends of a distance add up along it
     return float(np.sqrt(2.0 * np.median(variances)))

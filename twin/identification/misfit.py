@@ -37,6 +37,7 @@ from twin.machine.rigid_motion import rigid_fields
 MISFIT_KINDS = {"mixed terms": 1 / 2, "waves along X": 1 / 6, "waves along Y": 1 / 6, "waves along Z": 1 / 6}
 """Kinds of misfit in their fixed order, each with its share in the prior variance."""
 
+# Prior assumptions of size and shape. `campaigns.foreign` and the study of coverage test them on fields of other kinds.
 _MIXED_DEGREE = 6
 _ORDERS_BEYOND = 8
 _MIXED_DECAY = 0.75  # factor on the prior standard deviation per degree
@@ -156,6 +157,7 @@ class _Represented:
             for direction in range(3):
                 one = known[:, direction]
                 common[direction] += one.T @ (weight * candidates)
+                # Gᵀ G over all three directions: a parameter has one value, whichever direction shows it
                 gram += one.T @ (weight * one)
         return cls(_pseudo_inverse(gram), common, squares)
 
@@ -169,6 +171,8 @@ class _Represented:
         """Return the Gram matrix (3m, 3m) of the m combinations of the `chosen` candidates that are the columns of
         `factor` (m, m), after the represented part has been removed."""
         common = np.concatenate([part[:, chosen] @ factor for part in self.common], axis=1)
+        # Legendre polynomials of different degrees are orthogonal over the workspace, so CᵀC is diagonal: the mean
+        # squares.
         own = factor.T @ (self.squares[chosen, None] * factor)
         # residual of a least-squares projection on the known fields G: CᵀC - CᵀG (GᵀG)⁻¹ GᵀC
         return np.asarray(np.kron(np.eye(3), own) - common.T @ self.inverse @ common)
@@ -193,6 +197,7 @@ def _condense(represented: _Represented, chosen: slice, factor: Array, share: fl
     while most < len(values) and values[most] > (1.0 - _EQUAL) * values[most - 1]:
         most -= 1
     # Karhunen-Loève: leading eigenvectors of the prior covariance, scaled to the kind's share of the variance
+    # The sum of all eigenvalues is the mean square over the workspace, so the kind gets its share of the unit variance.
     size = np.sqrt(share / values.sum())
     mixing = np.zeros((3, len(represented.squares), most))
     mixing[:, chosen] = size * factor @ vectors[:, :most].reshape(3, len(factor), most)
@@ -216,6 +221,7 @@ def _kinds(model: ErrorModel) -> Sequence[_Kind]:
 def _mixed(others: Set[Degrees]) -> _Kind:
     every = range(_MIXED_DEGREE + 1)
     found = {
+        # A product of two axes at least (a function of one axis is a wave or a parameter), and no wave with a lever.
         (i, j, k): _MIXED_DECAY ** (i + j + k - 2)
         for i, j, k in product(every, every, every)
         if i + j + k <= _MIXED_DEGREE and sum(degree > 0 for degree in (i, j, k)) > 1 and (i, j, k) not in others
@@ -242,6 +248,7 @@ def _quadrature(model: ErrorModel, degrees: tuple[Degrees, ...]) -> tuple[Array,
     exact for products of any two fields."""
     nodes, weights = [], []
     for axis, (low, high) in enumerate(model.ranges_mm):
+        # d + 1 Gauss nodes integrate polynomials of degree 2 d + 1, and products of two fields have at most 2 d.
         node, weight = np.polynomial.legendre.leggauss(max(degree[axis] for degree in degrees) + 1)
         nodes.append(0.5 * (low + high) + 0.5 * (high - low) * node)
         weights.append(0.5 * weight)

@@ -171,6 +171,7 @@ def _bed(parts: CantileverStructure, x: Array, moment: Array) -> tuple[Array, Ar
     bed yields between its supports."""
     half = 0.5 * parts.wheelbase_mm
     front, rear = (np.sin(np.pi * (x + arm) / parts.support_pitch_mm) ** 2 for arm in (half, -half))
+    # The saddle rests on two trucks: it follows the mean of the sag under them and pitches with the difference.
     sag = 0.5 * parts.bed_sag_mm * (front + rear)
     pitch = parts.bed_sag_mm * (front - rear) / parts.wheelbase_mm
     roll = 0.5 * (front + rear) * parts.bed_roll_rad_per_n_mm * moment

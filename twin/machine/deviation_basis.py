@@ -119,13 +119,17 @@ def _columns(model: ErrorModel) -> tuple[ColumnIndices, ColumnIndices]:
     for error, block in model.block.items():
         direction, axis = DIRECTIONS.index(error[1]), AXES.index(error[2])
         orders = series_orders(error, model.orders[error])
+        # effects 0 to 2 are translations; the rotations A, B, C (directions 3 to 5) of axis k are the effects 3 + 3 k
+        # to 5 + 3 k
         effect[block] = direction if direction < 3 else 3 * axis + direction
         row[block] = starts[axis] + np.arange(orders.start, orders.start + len(orders))
+    # Squareness rotates a direction of travel only, so its effect is a translation; CROSS[c…] is the rotation A of Z.
     others = {"A0Z": _Y, "B0Z": _X, "C0Y": _X}
     others |= {f"CROSS[{term}]": _Y if term[0] == "b" else 3 + 3 * _Z for term in model.cross_effect}
     for number, (name, moved) in enumerate(others.items()):
         effect[model.index(name)] = moved
         row[model.index(name)] = starts[-1] + number
+    # the cache hands the same arrays to every caller
     effect.setflags(write=False)
     row.setflags(write=False)
     return effect, row

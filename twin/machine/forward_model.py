@@ -94,6 +94,7 @@ def exact_deviation(
 
 def _unpack(model: ErrorModel, values: Array) -> _UnpackedParameters:
     a, b, c = model.squareness(values)
+    # cos φ - 1 = -2 sin²(φ/2), which keeps all digits of a small angle
     cos_a1, cos_b1, cos_c1 = (-2.0 * math.sin(0.5 * angle) ** 2 for angle in (a, b, c))
     z_turned = (  # Ry(B0Z) Rx(A0Z) e_z - e_z
         math.sin(b) * math.cos(a),

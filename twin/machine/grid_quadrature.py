@@ -44,6 +44,7 @@ class GridQuadrature:
         if lines is None:
             return cls(len(points), points, np.ones(len(points)), None)
         rules = [_gauss(line, degree) for line, degree in zip(lines, degrees, strict=True)]
+        # Tensor product: the rule of each axis is exact in its coordinate, so their product is exact in all three.
         nodes = np.stack(np.meshgrid(*(rule[0] for rule in rules), indexing="ij"), axis=-1).reshape(-1, 3)
         weights = np.einsum("i,j,k->ijk", *(rule[1] for rule in rules)).reshape(-1)
         return cls(len(points), nodes, weights, tuple(rule[2] for rule in rules))
@@ -69,6 +70,7 @@ def _lines(points: Array) -> tuple[Array, Array, Array] | None:
     In the list of points, x must vary slowest and z fastest.
     """
     x, y, z = points.T
+    # the points before y or x first changes are one line along z, those before x changes are one plane
     deep = int(np.argmax(np.append(y != y[0], True) | np.append(x != x[0], True)))
     plane = int(np.argmax(np.append(x != x[0], True)))
     if plane % deep or len(points) % plane:

@@ -50,5 +50,6 @@ def to_power_series(coefficients: Array) -> Array:
 
 @lru_cache(maxsize=16)
 def _to_powers(size: int) -> Array:
+    # row k holds the power coefficients of P_k
     rows = [np.pad(leg2poly(row[: k + 1]), (0, size - 1 - k)) for k, row in enumerate(np.eye(size))]
     return np.array(rows)

@@ -68,6 +68,7 @@ def _half_width(model: ErrorModel, parameter: Parameter, amplitudes: Mapping[str
     values = _as_list(amplitudes.get(kind, 0.0), kind)
     if kind in SINGLE_KINDS:
         return 1e-3 * values[0] if parameter.unit == "mm" else 1e-6 * values[0]
+    # a straightness begins at order 2, all others at order 1: rank counts from the lowest order of the kind
     rank = parameter.order - series_orders(parameter.error, model.orders[parameter.error]).start
     decay = _as_list(amplitudes.get("decay", DEFAULT_DECAY), "decay")[0]
     width = values[min(rank, len(values) - 1)] * decay ** max(0, rank - len(values) + 1)

@@ -171,6 +171,8 @@ class QuadraticForm:
         sums = GridQuadrature.for_points(self.axis_positions, _degrees(self.model))
         roots = np.sqrt(sums.weights).repeat(3)
         motions = _rigid_motions(sums.nodes + self.tool_offset, sums.weights)
+        # A grid field is no polynomial. Its projection gives the same products with every basis column, but not the
+        # same square: fᵀf is taken on the grid itself.
         gathered = sums.gather(fixed).reshape(-1)
         # |B E + f|² = EᵀBᵀB E + 2 fᵀB E + fᵀf; aligned: f without its rigid part M Mᵀf
         rigid = motions.T @ (gathered / roots)
@@ -243,11 +245,14 @@ def _rigid_motions(points: Array, weights: Array | None = None) -> Array:
     roots.
     """
     middle = points.mean(axis=0)
+    # Rotations about the middle, scaled by the rms distance, displace points about as far as translations, which keeps
+    # the singular values comparable.
     size = max(float(np.sqrt(np.mean((points - middle) ** 2))), 1e-12)
     fields = rigid_fields(points, middle, size)
     if weights is not None:
         fields *= np.sqrt(weights)[:, None, None]
     left, sizes, _ = np.linalg.svd(fields.reshape(-1, 6), full_matrices=False)
+    # points on one line leave the rotation about it undetermined, a singular value of zero
     used: Array = left[:, sizes > 1e-9 * sizes[0]]
     return used
 

@@ -58,6 +58,8 @@ def individuals_chart(values: ArrayLike) -> IndividualsChart:
     Raises DataError if n is less than 3 or if a value is not finite.
     """
     found = _series(values)
+    # From successive differences, not from the deviations from the mean: a slow trend would widen the limits that are
+    # to reveal it.
     sigma = float(np.abs(np.diff(found)).mean()) / D2
     centre = float(found.mean())
     lower, upper = centre - LIMIT_WIDTH * sigma, centre + LIMIT_WIDTH * sigma

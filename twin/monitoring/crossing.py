@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from twin.monitoring.drift import Drift
 
+# 2⁻⁶⁰ of the horizon is below the rounding of a double.
 _STEPS = 60  # bisections of the horizon
 
 

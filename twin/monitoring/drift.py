@@ -25,6 +25,7 @@ from twin.errors import DataError
 
 MIN_FREEDOM_FOR_SCALE = 4
 COVERAGE = 0.95
+# Few nights give a poor correlation; at 0.9 the variance is multiplied by 19, at 1 by infinity.
 _HIGHEST_CORRELATION = 0.9
 
 
@@ -64,6 +65,7 @@ class Drift:
 
         Return the predicted value and its standard uncertainty.
         """
+        # Var(level + n slope), with the covariance that the fit gives to level and slope
         variance = self.level_sigma**2 + 2.0 * nights * self.covariance + (nights * self.slope_sigma) ** 2
         return self.level + self.slope * nights, float(np.sqrt(max(variance, 0.0)))
 
@@ -81,6 +83,7 @@ def fit_drift(nights: ArrayLike, values: ArrayLike, sigmas: ArrayLike, steps: Se
     freedom = len(y) - design.shape[1]
     if freedom < 0 or np.linalg.matrix_rank(design) < design.shape[1]:
         raise DataError(f"{len(y)} values are too few for a drift with {len(steps)} steps")
+    # Each equation divided by its standard uncertainty has unit variance, so that (AᵀA)⁻¹ is the covariance.
     weighted = design / u[:, None]
     covariance = np.linalg.inv(weighted.T @ weighted)
     found = covariance @ (weighted.T @ (y / u))
@@ -89,6 +92,8 @@ def fit_drift(nights: ArrayLike, values: ArrayLike, sigmas: ArrayLike, steps: Se
     scatter, correlation = _scatter(residuals, freedom)
     covariance = covariance * scatter**2 * (1.0 + correlation) / (1.0 - correlation)
     sigma = np.sqrt(np.diagonal(covariance))
+    # With the stated uncertainties, nothing was estimated from the scatter: Student's t with 10⁶ degrees of freedom is
+    # the normal distribution, factor 1.96.
     factor = float(stdtrit(freedom if freedom >= MIN_FREEDOM_FOR_SCALE else 1e6, 0.5 + 0.5 * COVERAGE))
     return Drift(
         level=float(found[0]),

@@ -43,6 +43,7 @@ FALSE_ALARM = 1e-3
 
 _WIDENING = 0.2  # standard deviation of the change of ln f from one night to the next
 _SEARCHED = 5.0 * UNKNOWN_LOG_DEVIATION  # largest change of ln f in one night that is searched
+# odd, so that the prior's own factor is one of the points
 _POINTS = 401
 
 
@@ -99,6 +100,7 @@ def compare_with_nights_before(
         _exceedance(chi2, before.rows, known.degrees_of_freedom),
         len(ERRORS) * math.exp(-max(suspect.evidence, 0.0)),
     ]
+    # Without information about the drift (no process noise, or none that the balls show), the factor stays.
     learned = expected
     if drift.informative:
         widened = replace(expected, log_deviation=math.hypot(expected.log_deviation, _WIDENING))

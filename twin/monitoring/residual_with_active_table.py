@@ -92,6 +92,7 @@ def uncompensated(unknowns: Unknowns, mean: Array, written: ArrayLike) -> Array:
     """
     parameters, scale = as_vector(written, unknowns.model.size, "written parameters"), unknowns.scale
     left = mean.copy()
+    # A parameter that the family holds at zero has the unit 0 and is not in z: nothing to subtract.
     left[unknowns.blocks.parameters] -= np.where(scale > 0.0, parameters / np.where(scale > 0.0, scale, 1.0), 0.0)
     return left
 
@@ -126,5 +127,6 @@ def residual_covariance(
         at_hand = basis if (offset == unknowns.modes.tool_offset).all() else None
         fields[:, :, blocks.misfit] = unknowns.misfit_mm * unknowns.modes.at(grid, at_hand)
     columns = fields.reshape(-1, blocks.size)
+    # E[z zᵀ] = C + m mᵀ
     moments = covariance + np.multiply.outer(mean, mean)
     return np.asarray(columns @ moments @ columns.T) + left_out_variance(unknowns, scales) * np.eye(len(columns))

@@ -47,6 +47,7 @@ ERRORS = (*ERROR_MOTIONS, *SQUARENESS)
 """The 21 geometric errors of three linear axes, ISO 230-1."""
 
 _EXACT_STEPS = 2  # as in an identification: the first step leaves second-order terms of a pose a few mm off
+# gives the peak-to-valley value of a series of order 5 to within 0.3 %, of order 10 to within 2 % (random series)
 _TRAVEL_POINTS = 101
 
 
@@ -152,6 +153,7 @@ class Innovation:
         free = cho_factor(np.eye(size) / jump**2 + inner, lower=True)
         step = cho_solve(free, score)
         determinant = 2.0 * float(np.log(np.diagonal(free[0])).sum()) + 2.0 * size * math.log(jump)
+        # χ² without the prior Λ on the size of the jump: sᵀF⁻¹s; a coefficient that was not measured adds nothing
         sharp = float(score @ np.linalg.lstsq(inner, score, rcond=1e-12)[0])
         change, unit = self._change(error, columns, step)
         names = [self.unknowns.model.names[i] for i in columns]

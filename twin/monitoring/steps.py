@@ -44,6 +44,7 @@ def find_steps(
     if len(t) < MIN_NIGHTS:
         return tuple(steps)
     relative = u / np.median(u)
+    # Divided by their relative uncertainties, all values have the same noise, whose size the differences give.
     scatter = max(_successive(y / relative), MIN_NOISE_SHARE * float(np.median(u)))
     while len(steps) < MAX_STEPS + len(known):
         best = _best(t, y, scatter * relative, steps)
@@ -74,6 +75,7 @@ def _penalty(count: int) -> float:
 
     It is chosen so that a step is found in about 1 of 50 series that contain none.
     """
+    # count / (count - 5): 2.7 for 8 nights, 1.2 for 30
     return PENALTY_PER_LOG * float(np.log(count)) * count / (count - 5.0)
 
 
@@ -101,6 +103,7 @@ def _candidates(t: Array, steps: Sequence[float]) -> list[float]:
         float(t[index])
         for start, end in pairwise(edges)
         for index in range(start + 2, end - 1)
+        # values of the same night cannot lie on different sides of a step
         if t[index] > t[index - 1]
     ]
 

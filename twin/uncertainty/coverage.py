@@ -29,6 +29,7 @@ from twin.machine.volumetric import volumetric_error
 from twin.uncertainty.volumetric_distribution import volumetric_distributions
 
 _MIN_VARIANCE = 1e-9  # of the largest variance: directions below were removed with the rigid motion
+# The standard error that the bootstrap gives is itself uncertain by 1/√(2 · 2000), 1.6 %.
 _RESAMPLES = 2000
 
 
@@ -67,6 +68,7 @@ def observed_coverage(levels: Sequence[Array], nominal: float, rng: np.random.Ge
     """
     held = np.array([np.count_nonzero(one <= nominal) for one in levels], dtype=np.float64)
     counts = np.array([np.size(one) for one in levels], dtype=np.float64)
+    # A resample of machines with replacement is given by the number of times that each machine occurs in it.
     drawn = rng.multinomial(len(levels), np.full(len(levels), 1.0 / len(levels)), size=_RESAMPLES)
     again = (drawn @ held) / (drawn @ counts)
     return ObservedCoverage(float(held.sum() / counts.sum()), float(again.std()))
@@ -91,6 +93,7 @@ class FieldError:
         """
         offset = truth.tool_offset
         left = truth.deviation(axis_positions)
+        # Exact, not linear: the second-order terms of the field would otherwise count as errors of the estimate.
         left -= exact_deviation(estimate.model, axis_positions, offset, estimate.parameters)
         columns = field_columns(estimate, axis_positions, offset).reshape(left.size, -1)
         covariance, expected = estimate.covariance, left.reshape(-1)
@@ -99,9 +102,11 @@ class FieldError:
             cross = misfit.cross_covariance
             covariance = np.block([[covariance, cross], [cross.T, misfit.covariance]])
             expected = expected - columns[:, estimate.model.size :] @ misfit.coefficients
+        # With an orthonormal basis N of the rigid motions, 1 - N Nᵀ removes them from the error and from every column.
         motions = np.linalg.qr(_motions(axis_positions + offset))[0]
         columns = columns - motions @ (motions.T @ columns)
         whole = columns @ covariance @ columns.T
+        # Misfit of short wavelength has the covariance v 1, which the projection turns into v (1 - N Nᵀ).
         whole += unresolved_variance(estimate) * (np.eye(len(columns)) - motions @ motions.T)
         return cls(expected - motions @ (motions.T @ expected), whole)
 
@@ -136,6 +141,7 @@ def joint_level(error: Array, covariance: Array) -> float:
     """
     values, vectors = np.linalg.eigh(covariance)
     used = values > _MIN_VARIANCE * values[-1]
+    # eᵀC⁻¹e, within the directions of C that are not zero, has a χ² distribution with as many degrees of freedom.
     square = float(np.sum((vectors.T @ error)[used] ** 2 / values[used]))
     return float(chdtr(float(used.sum()), square))
 
@@ -182,6 +188,7 @@ def volumetric_comparisons(
     found = []
     for field, distribution in ((true, stated.ve), (left, stated.vce)):
         rms_mm = volumetric_error(grid + offset, field).aligned_mm
+        # An equal-tailed interval of level p ends at the quantiles (1 ± p)/2, so it ends at the truth if p = |2 P - 1|.
         below = distribution.aligned.at_most(rms_mm**2)
         found.append(VolumetricComparison(rms_mm, distribution.expected.aligned_mm, abs(2.0 * below - 1.0)))
     return found[0], found[1]
@@ -219,5 +226,7 @@ def _held_out_level(estimate: Estimate, problem: IdentificationProblem, residual
 
 def _motions(points: Array) -> Array:
     """Return the six fields (3n, 6) of rigid motions at points (n, 3)."""
+    # Scaled so that rotations displace the points about as far as translations: columns of equal size keep the QR
+    # decomposition accurate.
     size_mm = max(float(np.ptp(points, axis=0).max()), 1.0)
     return rigid_fields(points, points.mean(axis=0), size_mm).reshape(-1, 6)

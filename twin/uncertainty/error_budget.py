@@ -70,6 +70,8 @@ class ErrorBudget:
         """
         squares = {name: self.field.mean_square(moments) for name, moments in self.moments.items()}
         fixed = self.field.fixed_square(self.bias)
+        # The deflection is the same on all machines. All other influences have mean zero, so no mixed term arises
+        # between them and its field, and the two mean squares add up.
         squares[MISFIT] = (squares[MISFIT][0] + fixed[0], squares[MISFIT][1] + fixed[1])
         return {name: _root(raw, aligned) for name, (raw, aligned) in squares.items()}
 
@@ -106,6 +108,7 @@ class ErrorBudget:
 
     def parameter_uncertainty(self) -> Array:
         """Return the rms errors, shape (p,), of the p identified parameters (true minus identified) in mm or rad."""
+        # E[e²] = variance + bias², for each parameter
         squares = np.maximum(np.diagonal(self.total) + self.bias**2, 0.0)
         return np.asarray(np.sqrt(squares[self.field.model_indices]))
 
@@ -117,6 +120,7 @@ class ErrorBudget:
         unknown pose cannot determine this motion.
         """
         basis, deflection = self.field.columns_at(axis_positions, aligned)
+        # The row b of the basis gives the field component bᵀe + f: E[(bᵀe + f)²] = bᵀM b + (f + bᵀbias)².
         squares = np.einsum("nip,nip->ni", basis @ self.total, basis) + (deflection + basis @ self.bias) ** 2
         return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
 
@@ -171,6 +175,8 @@ def error_budget_of_form(
         TOUCH_NOISE: _embed(field, estimator.noise) if assumptions.touch_noise else none,
         CERTIFICATE: certificate,
         MOUNT: none,
+        # The columns of `machines` are independent parameters of the true machine, so their moments may be summed in
+        # two groups: those that the model lacks, and its own.
         MISFIT: machines[:, field.unmodelled] @ machines[:, field.unmodelled].T,
         UNSEEN: machines[:, ~field.unmodelled] @ machines[:, ~field.unmodelled].T,
     }
@@ -190,6 +196,8 @@ def _influences(problem: IdentificationProblem, field: FieldForm, artefact: Arte
         :, :, None
     ]
     warmer_k = assumptions.artefact_temperature_c - artefact.reference_temperature_c
+    # An error of the CTE acts only through the departure from the reference temperature, an error of the thermometer
+    # through the CTE itself. Either stretches every ball by the same strain, in all poses alike.
     doubt = artefact.cte_standard_uncertainty_per_k * warmer_k if assumptions.cte else 0.0
     return {
         "machines": _machine_fields(field, seen),
@@ -232,6 +240,7 @@ def _drift_fields(problem: IdentificationProblem, drift_mm: float) -> Array:
     if drift_mm == 0.0:
         return np.zeros((problem.observations.size, 3, 0))
     number = layout.unpad(np.tile(np.arange(float(layout.width)), (layout.positions, 1)))
+    # from 0 at the first ball of a position to 1 at its last; a position with a single ball does not drift
     share = number / np.maximum(layout.counts - 1, 1)[layout.index]
     fields = np.zeros((len(share), 3, layout.positions, 3))
     fields[np.arange(len(share)), :, layout.index, :] = drift_mm * share[:, None, None] * np.eye(3)
@@ -243,6 +252,7 @@ def _machine_residuals(field: FieldForm, answers: Array) -> Array:
     parameters."""
     left = np.zeros((field.size, len(field.true_indices)))
     left[field.true_indices, np.arange(len(field.true_indices))] = field.assumptions.family.prior_standard_deviation
+    # An identified parameter is compensated by its response; a parameter that the model lacks remains whole.
     left[field.model_indices] -= answers
     return left
 

@@ -51,6 +51,7 @@ class LinearEstimator:
             )
         plain, blocks = options.weights == "unit", problem.blocks
         equations = _equations(_with_influences(problem, influences), options)
+        # With unit weights only the machine parameters are unknowns; errors of the certificate then act as influences.
         used = blocks.parameters.stop if plain else blocks.size
         matrix = equations.matrix
         posterior = _posterior(matrix[:used, :used], blocks, options)
@@ -58,6 +59,7 @@ class LinearEstimator:
         response = posterior.solve(matrix[:used, blocks.certificate.start :])
         noise_gram = equations.noise_gram(used)[0] if plain else matrix[:used, :used]
         noise = posterior.solve(posterior.solve(noise_gram).T)  # H⁻¹ (Aᵀ C A) H⁻¹
+        # The unknowns are in units of their prior standard deviation; `scale` converts them to mm and rad.
         own, scale = blocks.parameters, problem.unknowns.scale
         response = scale[:, None] * response[own]
         return cls(
@@ -72,6 +74,7 @@ def _with_influences(problem: IdentificationProblem, influences: Array) -> Ident
     products with all other columns."""
     laid = problem.layout.pad(influences)
     blocks = problem.blocks
+    # The extra columns are appended to the last block, so that the equations project the poses out of them, too.
     longer = replace(blocks, misfit=slice(blocks.misfit.start, blocks.size + influences.shape[2]))
     return replace(problem, design=np.concatenate((problem.design, laid), axis=3), blocks=longer)
 

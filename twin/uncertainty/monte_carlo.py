@@ -60,6 +60,7 @@ def simulated_observations(
     touches = _touch_noise(planned.covariance, rng)
     if assumptions.touch_noise:
         found += touches
+    # The balls are at the true temperature, but the observations state what the thermometer shows.
     shown_c = np.full(planned.size, assumptions.artefact_temperature_c + shift_k)
     return replace(planned, axis_positions=found, temperature_c=shown_c)
 

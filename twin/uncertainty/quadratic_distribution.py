@@ -107,6 +107,8 @@ class QuadraticDistribution:
         if top <= 0.0 or values[0] < -_NEGATIVE_TOLERANCE * top:
             raise DataError("the quadratic form is not a mean square", hint="it must be positive semi-definite")
         kept = values > _MIN_WEIGHT * top
+        # A term λ (g + δ)² with a negligible λ is replaced by its mean. Its share that does not depend on g is part of
+        # the value at the mean, so only λ is left to add.
         weights, dropped = values[kept], float(values[~kept].sum()) + constant
         # With x = m + L V g the form is Σ λ g² + 2 gᵀVᵀLᵀ(A m + b) + const; completing the squares gives δ and c₀.
         found = []
@@ -153,6 +155,7 @@ class QuadraticDistribution:
         """
         if not 0.0 < probability < 1.0:
             raise DataError(f"the probability must lie between 0 and 1, not {probability}")
+        # The bracket is sought by doubling and halving from the mean, above c₀, because Q cannot be smaller than c₀.
         upper = self._mean_above
         while self._at_most(upper) < probability:
             upper *= 2.0
@@ -184,6 +187,8 @@ class QuadraticDistribution:
             total = self._sum_along(_Path(saddle, bend / width, _STEP * width), above, sign)
             if total is not None:
                 top = float(self._exponent(np.array([saddle + 0j]), above, sign)[0].real)
+                # P = 1/(2πi) ∫ exp(exponent) ds. The two halves of the path are complex conjugates, so twice the real
+                # part of the upper half is summed: dv/π times the sum.
                 return min(max(math.exp(top) * _STEP * width / math.pi * total, 0.0), 1.0)
         raise DataError("the distribution of this quadratic form cannot be integrated", hint=_HINT)
 
@@ -198,6 +203,8 @@ class QuadraticDistribution:
             v = path.step * (_BLOCK * block + np.arange(_BLOCK))
             s = np.asarray(path.saddle + 1j * v + path.bend * v**2, dtype=np.complex128)
             exponent = self._exponent(s, above, sign) - top
+            # Each point is compared with the lowest value so far: a path that climbs again passes another saddle or a
+            # pole.
             falling = np.minimum.accumulate(np.append(lowest, exponent.real))
             turned = np.abs(np.diff(exponent.imag))[exponent.real[1:] > _MIN_EXPONENT]
             if (exponent.real > falling[1:] + _MAX_RISE).any() or (turned > _MAX_PHASE_STEP).any():
@@ -233,12 +240,15 @@ class QuadraticDistribution:
         largest = float(self.weights.max())
         pole = 0.5 / largest
         middle = 0.5 * pole
+        # `low` has a negative slope: K' rises with s, so K'(low) ≤ K'(middle) ≤ 1/low.
         low = min(middle, 1.0 / (self._slope(middle, 0.0) + 1.0 / middle))
+        # `high` has a positive slope: there the term of the largest λ alone gives K' ≥ 2 above + 8 λ, and 1/s < 3 λ.
         high = pole * (1.0 - 0.5 * largest / (above + 4.0 * largest))
         return float(brentq(self._slope, low, high, args=(above,)))
 
     def _lower_saddle(self, above: float) -> float:
         """Return the saddle left of zero, where the slope rises from -above to ∞."""
+        # `high` has a positive slope: left of zero K' > 0 and -1/s = 2 above.
         high = -0.5 / above
         low = 2.0 * high
         while self._slope(low, above) > 0.0:
@@ -266,6 +276,8 @@ def covariance_factor(covariance: ArrayLike) -> Array:
         raise DataError("a variance is negative", row=int(np.argmin(variance)), hint=_HINT)
     if not variance.any():
         raise DataError("the covariance is zero, so there is no distribution to compute", hint=_HINT)
+    # The decomposition works on correlations: mm² and rad² differ by many orders, and the small ones would be lost in
+    # the rounding of the large ones.
     scale = np.where(variance > 0.0, np.sqrt(variance), 1.0)
     correlation = matrix / np.multiply.outer(scale, scale)
     off = np.abs(correlation - correlation.T).max(axis=1)

@@ -22,6 +22,7 @@ from twin.machine.true_machine import TrueMachine
 from twin.uncertainty.monte_carlo import simulated_observations
 from twin.uncertainty.truth_assumptions import TruthAssumptions
 
+# above the order of the identified models, which is 5 unless a machine file states another
 TRUE_ORDER = 7
 AS_MODELLED = "as modelled"
 """Form of machines that the model can represent and that are measured under the stated conditions. Such machines are

@@ -76,6 +76,7 @@ class FieldForm:
         `moments`, shape (u, u), contains the second moments of the u parameters of the joint model. Aligned means after
         the best-fitting rigid motion has been removed. The deflection of the true machines is not included.
         """
+        # E[eᵀQ e] = tr(Q M)
         return float(np.vdot(self.form.raw, moments)), float(np.vdot(self.form.aligned, moments))
 
     def fixed_square(self, parameters: Array) -> tuple[float, float]:
@@ -117,6 +118,7 @@ class FieldForm:
             basis = deviation_basis(form.model, points, form.tool_offset).reshape(-1, self.size)
             normal += motions.T @ motions
             shared += motions.T @ np.column_stack((basis, self._fixed_at(points).reshape(-1)))
+        # least squares, because a grid on one line does not determine all six motions
         return np.asarray(np.linalg.lstsq(normal, shared, rcond=1e-12)[0])
 
     def _motions_at(self, points: Array) -> Array:
@@ -154,6 +156,7 @@ def joint_model(one: ErrorModel, other: ErrorModel) -> ErrorModel:
             "the true machines and the model differ in kinematic chain or axis ranges",
             hint="take both from the same machine file",
         )
+    # Series of different orders are nested, so the larger order contains the parameters of both.
     orders = {error: max(one.orders[error], other.orders[error]) for error in ERROR_MOTIONS}
     terms = tuple(term for term in CROSS_TERMS if term in one.cross_effect or term in other.cross_effect)
     return ErrorModel(one.chain, one.ranges_mm, orders, terms)

@@ -46,6 +46,7 @@ def thermometer_effect(estimate: Estimate, forms: tuple[Array, Array]) -> Thermo
     index = blocks.strain.start + artefact.strain_names.index("thermometer")
     column = estimate.z_covariance[:, index]
     misfit = column[blocks.misfit] if estimate.misfit is not None else np.zeros(0)
+    # the field of one standard deviation of the thermometer's error as the measurements leave it, c / √v
     moved = np.concatenate((unknowns.scale * column[blocks.parameters], misfit)) / np.sqrt(column[index])
     raw, aligned = (float(moved @ form @ moved) for form in forms)
     return ThermometerEffect(

@@ -1,6 +1,7 @@
 """Distributions of the volumetric error (VE) and of the volumetric compensated error (VCE), given an estimate.
 
-Distribution of a quadratic form of Gaussian variables with several possible means and covariances.
+The mean square of a field is a quadratic form of its parameters. This module computes the distribution of a quadratic
+form of Gaussian variables with several possible means and covariances.
 
 Each possible pair of mean and covariance is equally probable.
 """
@@ -59,9 +60,12 @@ class QuadraticMixture:
         if not 0.0 < probability < 1.0:
             raise DataError(f"the probability must lie between 0 and 1, not {probability}")
         # The search begins at the quantile of the log-normal distribution with the same mean and variance.
+        # A log-normal variable with mean m and variance V has the logarithmic deviation √ln(1 + V/m²) and the median m
+        # exp(-½ spread²).
         spread = math.sqrt(math.log1p(max(self.variance / self.mean**2, _LEAST_SPREAD**2)))
         lower = upper = self.mean * math.exp(spread * (float(ndtri(probability)) - 0.5 * spread))
         widening = math.exp(0.2 * spread)
+        # The steps grow, so that a start far from the quantile is corrected in few evaluations; each costs an integral.
         while self.at_most(lower) >= probability:
             lower, widening = lower / widening, widening**1.5
         while self.at_most(upper) <= probability:
@@ -162,6 +166,8 @@ def _rms_limits(squares: QuadraticMixture, tail: float) -> Limits:
 
 def _both(form: Array, one: MixtureComponent, written: Array) -> tuple[QuadraticDistribution, ...]:
     """Return the distributions of the mean square before and after compensation by the parameters `written`."""
+    # Compensation subtracts the written parameters from every machine: it moves the mean and leaves the covariance. The
+    # unresolved misfit adds its variance in three directions.
     means = (one.mean, one.mean - written)
     return QuadraticDistribution.about(form, np.zeros(len(written)), 3.0 * one.unresolved_mm2, means, one.factor)
 

@@ -28,6 +28,7 @@ from twin.uncertainty.scale_mixture import MixtureComponent, mixture_components
 from twin.units import UM_PER_MM
 
 COVERAGE = 0.95
+# Zero is left out: there w = u = 0 and 1/w - 1/u is undefined. The linear interpolation closes the gap.
 _BELOW = np.concatenate((-np.geomspace(400.0, 4.5, 25), -np.linspace(4.0, 0.1, 20)))
 _ABOVE = np.concatenate((np.linspace(0.1, 6.0, 30), np.geomspace(7.0, 40.0, 8)))
 """Saddles in units of one over the standard deviation of Q, below and above its mean."""
@@ -100,6 +101,8 @@ def _before_and_after(
     """
     values, vectors = np.linalg.eigh(root @ one.covariance @ root.T)
     known = values > _CERTAIN * max(float(values[-1]), 0.0)
+    # Directions without variance add a constant, the square of their mean; the unresolved misfit adds its variance in
+    # three directions.
     weights, beside = values[known], 3.0 * one.unresolved_mm2 + max(float(values[~known].sum()), 0.0)
     found = []
     for mean in (one.mean, one.mean - written):
@@ -122,6 +125,7 @@ def _distribution_function(part: QuadraticDistribution) -> tuple[Array, Array]:
         return np.full(2, part.least), np.array([0.0, 1.0])
     spread = math.sqrt(part.variance)
     pole = 0.5 * spread / float(part.weights.max())  # K has its first pole here, in units of 1 / spread
+    # a / (1 + a / pole) maps the saddles above the mean from 0 … ∞ to 0 … pole, where K is finite
     saddles = np.concatenate((_BELOW, _ABOVE / (1.0 + _ABOVE / pole))) / spread
     left = 1.0 - 2.0 * np.multiply.outer(saddles, part.weights)
     squares = part.shifts**2
@@ -133,4 +137,5 @@ def _distribution_function(part: QuadraticDistribution) -> tuple[Array, Array]:
     near = np.abs(w) < _FARTHEST
     w, u, above = w[near], u[near], above[near]
     probability = ndtr(w) + np.exp(-0.5 * w**2) / math.sqrt(2.0 * math.pi) * (1.0 / w - 1.0 / u)
+    # The approximation need not rise everywhere, but the interpolation needs probabilities that do.
     return part.least + above, np.maximum.accumulate(np.clip(probability, 0.0, 1.0))

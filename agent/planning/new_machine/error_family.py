@@ -45,8 +45,8 @@ def propose_family(kind: MachineClass, travel_mm: tuple[float, float, float]) ->
     """Return the amplitudes of the section `[model.family]` of a machine file, for a machine of class `kind` with the
     given travels of X, Y and Z in mm.
 
-    Lengths are those of the longest axis. Angles, which matter with the lever of another axis, are those of an axis of
-    medium length.
+    Amplitudes of displacements are computed for the longest axis. Amplitudes of rotations are computed for the axis of
+    medium length, because a rotation acts through a lever along another axis.
     """
     _, medium, longest = sorted(travel_mm)
     share = kind.tolerance_share

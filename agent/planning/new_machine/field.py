@@ -37,18 +37,20 @@ class FieldKind(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class SetupField(Generic[Answer]):
-    """Value that a person can state about a machine.
+    """Value that a person can state about a new machine, with its appearance on the command line, on the set-up page
+    and in the files.
 
     `flag` is the option of `volcal init`, and `step` the step of the set-up page on which the field is. `en` and `de`
-    are its label on the page, `option` its help text if it is not the English label. `question` is what a person is
-    asked in the terminal if the value is neither stated nor read from the controller; without one, the proposal is
-    taken. A number is from `lowest` to `highest`. `words` are the choices with their English and German words, None if
-    the page shows the choices themselves. `metavar` stands for the value in the help text.
+    are its label on the page, `option` its help text if it is not the English label. `question` is put to the person in
+    the terminal if the value is neither stated nor read from the controller; if there is no question, the proposal is
+    used. A number must lie between `lowest` and `highest`. `words` maps each choice to its English and German label, or
+    to None if the page shows the choice itself. `metavar` stands for the value in the help text.
 
     `meaning` turns the text into the value and raises DataError if it has none; `check` raises DataError if the value
     contradicts the other answers. `reported` is the value that a controller reports, `proposal` the text of the
-    proposal, and `origin` says where the proposal comes from. `shown` is the text of the value in a set-up, None if it
-    has none. `key` and `comment` are the name and the explanation of the value in the files.
+    proposal, and `origin` says where the proposal comes from. `shown` returns the text of the value in a given set-up,
+    or None if the set-up does not contain it. `key` and `comment` are the name and the explanation of the value in the
+    files.
     """
 
     flag: str

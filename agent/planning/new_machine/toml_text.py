@@ -31,8 +31,9 @@ class TomlText:
         self._lines.append(f"[{name}]")
 
     def key(self, name: str, value: Value, comment: str = "") -> None:
-        """Add a key. Its comment stands behind the value or, if there is no room, above it. A list that is too long for
-        a line is written with one item per line."""
+        """Add a key. Its comment follows the value or, if the line would be too long, precedes it. A list that is too
+        long for a line is written with one item per line.
+        """
         line = f"{name} = {format_value(value)}"
         if len(line) > WIDTH and isinstance(value, list):
             if comment:

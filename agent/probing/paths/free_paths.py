@@ -407,8 +407,9 @@ class FreePathFinder:
 
     def _reach_mm(self, pose: ArtefactPose) -> float:
         # The travel along the stations is cut to this distance, so that stations whose travel extends farther share
-        # their cached paths. Ten cells are more than the four by which the grid of `turn_sweep` exceeds the bodies: the
-        # tip can still wait where the turning artefact does not limit it.
+        # their cached paths. Ten cells reach beyond everything that limits the tip during a turn (see `turn_sweep`), so
+        # it can still wait beside the turning artefact. The number is not critical: with 0 to 20 cells, the planned
+        # times of the shipped cases differ by less than 0.1 %.
         return (
             self.bodies.cover(pose).reach_mm
             + self.layout.probe.ram_half_width_mm

@@ -47,7 +47,9 @@ def _of_estimate(data: ReportData, identification: IdentificationData, t: Texts)
 
 
 def _with_limits(text: str, quantity: Quantity) -> tuple[str, str]:
-    """Return the text and the value of a tile. The limits stand in the small print, because the value is set large."""
+    """Return the text and the value of a tile. The limits are in the small print, because the value is set in large
+    type.
+    """
     value, _, limits = micrometres(quantity).partition(", ")
     return f"{text}; {limits}" if limits else text, value
 

@@ -50,7 +50,7 @@ def preflight_of(
     *,
     every_branch: bool = False,
 ) -> PreflightResult:
-    """Return the preflight of a first calibration of `job`; the arguments are those of `run_preflight`."""
+    """Return the preflight of a first calibration of `job`; the arguments are as for `run_preflight`."""
     return run_preflight(job, calibration_of, start_mm, watch, every_branch=every_branch)
 
 

@@ -229,7 +229,7 @@ def _record_gates(journal: RunJournal, checked: CheckedGates) -> None:
 
 
 def _asked(gates: Callable[[], Sequence[Gate]], then: Callable[[], RunPlan]) -> RunPlan:
-    """Ask the operator for consent to a changed machine, and go on with the plan that `then` returns."""
+    """Ask the operator for consent to a changed machine, and continue with the plan that `then` returns."""
     yield Conclude("consent/gates", lambda: CheckedGates(tuple(gates())))
     request = yield Conclude("consent/question", lambda: consent_request(gates()), consent_request(()))
     yield AskOperator("consent/change", request)

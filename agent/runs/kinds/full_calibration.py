@@ -99,8 +99,8 @@ def calibrated_in_full(
     station: int,
     report: Callable[[], NightReport],
 ) -> RunPlan:
-    """Return the plan that goes on with a night as a full calibration of `job`. `report` returns the report of the
-    night so far.
+    """Return the plan that continues a night as a full calibration of `job`. `ready` is the prepared run, `judge` the
+    comparison with the last accepted night, and `report` returns the report of the night so far.
 
     The operator is not asked for consent to a table for the changed machine, because the permission for a full
     calibration includes this consent.

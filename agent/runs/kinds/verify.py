@@ -75,8 +75,9 @@ def _verified(job: Job, plan: NightPlan, judge: Judge, found: ActiveCompensation
 
 
 def with_table_of(reference: ReferenceState, then: Callable[[ActiveCompensation], RunPlan]) -> RunPlan:
-    """Read the active compensation, and go on with the plan that `then` returns if it is the last accepted table; end
-    with a refusal otherwise."""
+    """Read the active compensation, and continue with the plan that `then` returns if it is the last accepted table.
+    Otherwise end the run with a refusal.
+    """
     found = yield from found_compensation()
     return Fork(
         "before/table",

@@ -28,7 +28,7 @@ class Direction(Enum):
 
 
 class Part(Enum):
-    """Part of the machine that moved."""
+    """Part of the machine that moved during a jog, according to the person who watched it."""
 
     TOOL = "tool"
     WORKPIECE = "workpiece"
@@ -98,10 +98,10 @@ class ProbeFinding(Enum):
 
 
 def judge_trigger(deflected: Sequence[bool]) -> ProbeFinding:
-    """Return what the observed states of the probe input say, in their order.
+    """Return the finding from the observed states of the probe input, given in the order of observation.
 
-    The input is good if it was off, went on while the stylus was deflected, and went off again. An input that was on
-    from the beginning is always on, until it has been seen off once.
+    The input is good if it was off, went on while the stylus was deflected, and went off again. An input that has never
+    been off is reported as always on.
     """
     if not deflected or not any(deflected):
         return ProbeFinding.WAITING

@@ -64,7 +64,7 @@ class ControllerWatch:
             return self._position()
 
     def begin_jog(self, axis: str) -> None:
-        """Take the present position as that from which a person jogs `axis`."""
+        """Record the present position as the start of a jog of `axis` by a person."""
         with self._lock:
             self._reference, self._asked = self._position(), axis
 

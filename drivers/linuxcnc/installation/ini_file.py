@@ -76,9 +76,10 @@ class IniFile:
         return next((value for _, one, value in self.entries(section) if one == key), None)
 
     def insert_after(self, index: int, *lines: str) -> None:
-        """Insert lines with their marks after the line `index`, or after the marked block that contains this line.
+        """Insert lines after the line `index`, or after the marked block that contains this line.
 
-        They get the line end of that line.
+        A comment line before them and one after them mark them as added by volcal. They end with the same line end as
+        the line at `index`.
         """
         index = self._end_of_block(index)
         before = self._lines[index]

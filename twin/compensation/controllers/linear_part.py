@@ -29,6 +29,8 @@ def shears(matrix: Array) -> tuple[float, float, float]:
     """Return the shears xy, xz and yz of a matrix without its rotation: how X must change with Y and with Z, and Y with
     Z, while the X axis keeps its direction and the XY plane its orientation.
     """
+    # A small rotation is the antisymmetric part of the matrix. Of M = S + W, the shears with X and XY fixed are 2 S_xy,
+    # 2 S_xz and 2 S_yz: the rotation that brings the lower triangle to zero doubles the upper.
     sums = matrix + matrix.T
     return float(sums[0, 1]), float(sums[0, 2]), float(sums[1, 2])
 
@@ -59,4 +61,5 @@ def _rms_without_rigid_motion(points: Array, field: Array) -> float:
     fields = rigid_fields(points, points.mean(axis=0), 1.0).reshape(-1, 6)
     flat = field.reshape(-1)
     motion = np.linalg.lstsq(fields, flat, rcond=None)[0]
+    # `flat` contains coordinates, three per point: the mean square length is three times their mean square
     return float(np.sqrt(3.0 * np.mean((flat - fields @ motion) ** 2)))

@@ -60,8 +60,10 @@ def check_shape(observations: Observations, artefact: Artefact) -> None:
 
 
 def reversed_fit_mm(artefact: Artefact, ball: Sequence[int], points: Array) -> tuple[float, float] | None:
-    """Return the median residuals in mm of one position of the artefact, as numbered and with the balls numbered from
-    the other end, if the latter fit clearly better; None otherwise.
+    """Return evidence that the balls of one position were numbered from the wrong end, or None if there is none.
+
+    The result is the pair of median residuals in mm, with the balls numbered as given and from the other end. It is
+    returned only if the second is clearly smaller.
 
     `ball` contains the numbers of the n measured balls, and `points` (n, 3) their centres in mm.
     """
