@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 
 from twin.arrays import Array, as_points, as_vector
 from twin.artefact.artefact import Artefact
-from twin.artefact.artefact_temperature import assumed_uncertainty_k
 from twin.errors import DataError
 from twin.formats.ball_file import BallFile
 from twin.formats.estimate_file import StoredEstimate
@@ -20,6 +19,7 @@ from twin.identification.checks.measured_shape import check_shape
 from twin.machine.forward_model import exact_deviation
 from twin.machine.machine_description import MachineDescription
 from twin.machine.volumetric import QuadraticForm, VolumetricRms, evaluation_grid
+from twin.thermal.artefact_temperature import assumed_uncertainty_k
 
 AnyEstimate = Estimate | StoredEstimate
 Order = int | Literal["evidence", "file"]

@@ -19,11 +19,11 @@ from agent.planning.held_out_positions import (
 from agent.planning.job import HeldOutChoice, Job, KnownHeldOut
 from agent.planning.procedure_rules import layout_of, preparation_of, probing_of, retreat_of
 from agent.planning.stations import check_stations, hand_placement, load_artefacts, station_change
-from agent.planning.temperature_rules import drift_limits_of, settling_of
 from agent.probing.position import PositionRules
 from agent.probing.run_plan import gap_above_mm
 from agent.settings.load import POSITION_FILES
 from agent.settings.schema import Settings
+from agent.thermal.rules import drift_limits_of, settling_of
 from drivers.errors import ConfigurationError
 from twin.artefact.position_set import Position, parse_position_set
 from twin.collision.locating_balls import depth_in_table_mm, locating_balls

@@ -17,11 +17,11 @@ from agent.probing.ball import NOT_FOUND_HINT, FittedBall, LostBall, measure_bal
 from agent.probing.hand_placement import HandPlacement
 from agent.probing.paths.path_planner import PathPlanner, PlainPathPlanner
 from agent.probing.paths.retreat import Retreat
-from agent.probing.position_drift import DriftLimits, judge_drift
 from agent.probing.probing_parameters import ProbingParameters, Search
 from agent.probing.station_change import StationChange
-from agent.probing.temperature_readings import Conditions, read_conditions
-from agent.probing.thermal_settling import SettlingRules, wait_until_settled
+from agent.thermal.position_drift import DriftLimits, judge_drift
+from agent.thermal.readings import Conditions, read_conditions
+from agent.thermal.settling import SettlingRules, wait_until_settled
 from twin.arrays import Array
 from twin.artefact.pose_alignment import align_to_end_balls, align_to_third_ball
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from agent.execution.steps import Fork, Record, RunPlan
 from agent.probing.position import MeasuredBall, MeasuredPosition, PositionRules
 from agent.probing.run_plan import MeasuredPositions, MeasuringOrder, measure_positions
-from agent.probing.temperature_readings import Conditions
+from agent.thermal.readings import machine_change_k
 from twin.artefact.position_set import Position
 from twin.collision.measuring_layout import MeasuringLayout
 
@@ -77,13 +77,6 @@ def _repeated(
     again = MeasuringOrder(REPEAT_PREFIX, first, measured.standing_at, measured.placed)
     more = yield from measure_positions(again, layout, rules, measured.mount_poses)
     return (yield from then(join_measured(measured, more)))
-
-
-def machine_change_k(conditions: Collection[Conditions], declared_k: float) -> float:
-    """Return the range (largest minus smallest value) in K of the machine's temperature readings. If there are no
-    readings, return `declared_k`."""
-    readings_c = [one.machine_c for one in conditions if one.machine_c is not None]
-    return max(readings_c) - min(readings_c) if readings_c else declared_k
 
 
 def measured_balls(measured: MeasuredPositions) -> list[MeasuredBall]:

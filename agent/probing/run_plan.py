@@ -24,8 +24,8 @@ from agent.probing.paths.raised_path import RaisedPathPlanner
 from agent.probing.paths.shortest_path import create_path_planner
 from agent.probing.position import MeasuredPosition, PositionRules, PositionTask, measure_position
 from agent.probing.station_change import change_station
-from agent.probing.temperature_readings import Conditions
 from agent.probing.touch import point
+from agent.thermal.readings import Conditions
 from twin.artefact.artefact import Artefact
 from twin.artefact.mount_pose_estimate import MountPoseEstimate
 from twin.artefact.position_set import Position

@@ -35,8 +35,8 @@ from agent.results.artefact_calibration import calibration_warnings
 from agent.results.decision_kinds import HELD_OUT, IDENTIFIED, INPUTS, OUTCOME, PROBE
 from agent.results.facts import ArtefactFacts, ProbeFacts, ProbeRing, Quantity, TableFacts, VolumetricSummary
 from agent.results.gates import Gate
-from agent.results.thermometer import ThermometerFacts
 from agent.results.travel_parts import TravelParts
+from agent.thermal.thermometer import ThermometerFacts
 from drivers.errors import InputError
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position

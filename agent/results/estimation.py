@@ -16,12 +16,12 @@ import numpy as np
 from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
 from agent.results.facts import Quantity, VolumetricSummary
-from agent.results.observations import Correction, ReferenceArtefact, positions_named
-from agent.results.thermal_drift import identification_options, observations_with_drift
-from agent.results.thermometer import ThermometerFacts, ThermometerStatement
+from agent.results.observations import Correction, ReferenceArtefact, observations_of, positions_named
 from agent.results.travel_parts import Limits, TravelPart, TravelParts
-from agent.settings.schema import Order, TableSettings
+from agent.settings.schema import IdentificationSettings, Order, TableSettings
 from agent.settings.temperature import TemperatureSettings
+from agent.thermal.machine_drift import RunDrift, run_drift, thermal_options
+from agent.thermal.thermometer import ThermometerFacts, ThermometerStatement
 from drivers.clock import utc_timestamp
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
@@ -141,13 +141,27 @@ def estimate_from_balls(job: Job, balls: Sequence[MeasuredBall], correction: Cor
 
     `correction` is the correction that the active table added during the measurement.
     """
-    settings = job.settings
-    observations, order = observations_with_drift(job, balls, correction), settings.identification.order
-    options = identification_options(settings.identification, settings.temperature, observations)
+    settings, order = job.settings, job.settings.identification.order
+    drift = run_drift(settings.temperature, [ball.conditions for ball in balls])
+    observations = observations_of(balls, job.tool_offset_mm, correction, drift)
+    options = identification_options(settings.identification, settings.temperature, drift)
     with positions_named(balls):
         return estimate_with_table(
             job.machine, job.artefact, settings.tool, observations, options, settings.table, order
         )
+
+
+def identification_options(
+    identification: IdentificationSettings, temperature: TemperatureSettings, drift: RunDrift | None
+) -> Options:
+    """Return the options for an identification of the machine's errors without a prior from earlier nights. `drift` is
+    the drift of the machine during the measurement, or None if it is not estimated."""
+    return replace(
+        thermal_options(temperature, drift),
+        formulation=identification.formulation,
+        use_prior=identification.prior,
+        weights=identification.weights,
+    )
 
 
 def thermometer_facts(estimation: EstimationResult, temperature: TemperatureSettings) -> ThermometerFacts:

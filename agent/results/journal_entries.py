@@ -25,7 +25,7 @@ from agent.results.facts import ArtefactFacts, TableFacts
 from agent.results.observations import certified_balls, displayed_residuals
 from agent.results.probe_facts import probe_facts
 from agent.results.run_outcome import Outcome
-from agent.results.thermometer import ThermometerFacts
+from agent.thermal.thermometer import ThermometerFacts
 from drivers.errors import ConfigurationError
 from twin.artefact.artefact import Artefact
 from twin.artefact.position_set import Position

@@ -9,7 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
+from agent.probing.run_plan import MeasuredPositions
+from agent.thermal.machine_drift import RunDrift, is_drifting
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.held_out_check import HeldOutResiduals, HeldOutTest, held_out_residuals, held_out_test
@@ -17,23 +20,37 @@ from twin.artefact.observations import Observations
 from twin.errors import PositionError
 from twin.identification import shared_with_artefact
 from twin.identification.unknowns import Unknowns
+from twin.thermal.readings import smooth_readings
 
 Correction = Callable[[Array], Array]
+
+
+def balls_for_estimate(job: Job, measured: MeasuredPositions) -> list[MeasuredBall]:
+    """Return the measured balls for the estimate. These are all balls except those of held-out positions, which serve
+    only for the proof of the table.
+
+    The first ball of each position is measured again at the end of the position. If the machine drifted, these repeated
+    measurements are included.
+    """
+    balls = job.balls_of(measured, held_out=False)
+    drifting = is_drifting(job.settings.temperature, [ball.conditions for ball in balls])
+    return job.balls_of(measured, held_out=False, again=True) if drifting else balls
 
 
 def observations_of(
     balls: Sequence[MeasuredBall],
     tool_offset_mm: Array,
     correction: Correction,
-    thermal_regressors: Array | None = None,
+    drift: RunDrift | None = None,
 ) -> Observations:
     """Return the observations (measured ball centres with their temperatures) of the machine without compensation.
     Their axis positions are the displayed positions plus the corrections of the active table.
 
     `correction` maps n displayed axis positions (n, 3) in mm to the corrections (n, 3) in mm that the controller adds.
-    `thermal_regressors` (n, w) contains the values in K of w regressors of the thermal drift; it is None if the machine
-    did not drift.
+    `drift` is the drift of the machine while the balls were measured, or None if it is not estimated. With a drift, the
+    observations contain its regressors and smoothed temperatures of the artefact.
     """
+    temperature_c = np.array([ball.temperature_c for ball in balls])
     displayed = np.array([ball.found.centre_mm for ball in balls])
     return Observations(
         position=np.array(_renumbered(ball.position for ball in balls)),
@@ -41,11 +58,11 @@ def observations_of(
         tool=np.zeros(len(balls), dtype=np.int64),
         axis_positions=displayed + correction(displayed),
         covariance=np.array([ball.found.covariance_mm2 for ball in balls]),
-        temperature_c=np.array([ball.temperature_c for ball in balls]),
+        temperature_c=temperature_c if drift is None else smooth_readings(drift.instants_s, temperature_c),
         elevation_rad=np.array([math.radians(ball.elevation_deg) for ball in balls]),
         azimuth_rad=np.array([math.radians(ball.azimuth_deg) for ball in balls]),
         tool_offsets=tool_offset_mm.reshape(1, 3),
-        thermal_regressors=np.zeros((len(balls), 0)) if thermal_regressors is None else thermal_regressors,
+        thermal_regressors=np.zeros((len(balls), 0)) if drift is None else drift.regressors,
     )
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from agent.execution.states import RunState
 from agent.probing.reversal import AxisReversal
 from agent.results.artefact_calibration import calibration_record
-from agent.results.thermometer import ThermometerFacts
 from agent.results.travel_parts import TravelParts
 from agent.results.trial_report import TrialReport
+from agent.thermal.thermometer import ThermometerFacts
 from twin.artefact.artefact_calibration import ArtefactCalibration
 
 

@@ -35,6 +35,7 @@ from agent.results.estimation import EstimationResult
 from agent.results.observations import (
     Correction,
     ReferenceArtefact,
+    balls_for_estimate,
     certified_balls,
     displayed_residuals,
     no_correction,
@@ -42,7 +43,6 @@ from agent.results.observations import (
 )
 from agent.results.predicted_reduction import PredictedReduction
 from agent.results.run_outcome import Confirmation, Proof
-from agent.results.thermal_drift import earlier_deviations
 from agent.settings.schema import VerificationSettings
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
@@ -126,6 +126,26 @@ class FormerBalls:
         """
         displayed = np.array([ball.found.centre_mm for ball in self.balls])
         return held_out_residuals(self.observed, displayed + tool_offset_mm + self.drift_mm, artefact)
+
+
+def earlier_deviations(
+    job: Job, measured: MeasuredPositions, balls: Sequence[MeasuredBall], estimate: Estimate, regressors: Array
+) -> Array:
+    """Return the deviations (n, 3) in mm of the machine at the time when the n `balls` were measured, minus those in
+    the state that `estimate` describes, which is the end of the measurement. They are zero if the estimate contains no
+    drift.
+
+    `regressors` (m, w) contains the thermal regressors in K of the m balls in `measured` from which the estimate was
+    made.
+    """
+    positions = np.array([ball.found.centre_mm for ball in balls])
+    if estimate.drift is None:
+        return np.zeros_like(positions)
+    known_s = np.array([ball.conditions.instant_s for ball in balls_for_estimate(job, measured)])
+    instants_s, by_time = [ball.conditions.instant_s for ball in balls], np.argsort(known_s)
+    course = [np.interp(instants_s, known_s[by_time], column[by_time]) for column in regressors.T]
+    basis = deviation_basis(estimate.model, positions, job.tool_offset_mm)
+    return estimate.drift.deviations(basis, np.stack(course, axis=1) - regressors[-1])
 
 
 def predicted_reduction(job: Job, estimation: EstimationResult, former: FormerBalls) -> PredictedReduction:

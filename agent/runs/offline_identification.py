@@ -39,8 +39,8 @@ from agent.results.gates import (
 from agent.results.night_gate import night_document, night_gate, night_text
 from agent.results.run_outcome import limits_list
 from agent.results.table_replacement import ExpectedGain
-from agent.results.thermometer import ThermometerFacts, ThermometerStatement
 from agent.settings.schema import GateSettings, Order, TableSettings, VerificationSettings
+from agent.thermal.thermometer import ThermometerFacts, ThermometerStatement
 from drivers.errors import ConfigurationError, InputError
 from drivers.roles import Activation, StoreLimits
 from twin.artefact.artefact import Artefact

@@ -7,8 +7,8 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from twin.artefact.artefact_temperature import assumed_uncertainty_k
 from twin.formats.toml_reading import StrictModel
+from twin.thermal.artefact_temperature import assumed_uncertainty_k
 from twin.units import REFERENCE_TEMPERATURE_C
 
 Sensor = Annotated[str, Field(min_length=1, pattern=r"^[A-Za-z0-9_.-]+$")]

@@ -41,9 +41,8 @@ from agent.execution.journal_reader import open_journal
 from agent.planning.case_file import CASE_STUDY, SHIPPED_CONFIGURATION
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
-from agent.results.estimation import estimate_with_table
+from agent.results.estimation import estimate_with_table, identification_options
 from agent.results.table_image import image_of
-from agent.results.thermal_drift import identification_options
 from agent.runs.kinds.calibrate import FullCalibration
 from agent.runs.run_context import RunHooks
 from agent.runs.session import RunResult, carry_out
@@ -196,10 +195,8 @@ def _vce_without_drift(run: WarmingRun, *, told: bool) -> float:
         elevation_rad=np.radians([record["elevation_deg"] for record in kept]),
         tool_offsets=job.tool_offset_mm.reshape(1, 3),
     )
-    options, order = (
-        identification_options(settings.identification, settings.temperature, observations),
-        settings.identification.order,
-    )
+    options = identification_options(settings.identification, settings.temperature, None)
+    order = settings.identification.order
     result = estimate_with_table(job.machine, job.artefact, settings.tool, observations, options, settings.table, order)
     return true_vce_with_table(run.world, image_of(result.table, run.world.controller.store_limits))
 

@@ -1,7 +1,6 @@
 """Identification of the error model that is used for compensation, from measured ball centres."""
 
 from twin.identification.checks.certificate_check import BallCheck
-from twin.identification.drift import DriftEstimate, DriftPrior, MachineDrift
 from twin.identification.estimate import Estimate, Misfit
 from twin.identification.evidence import OrderEvidence
 from twin.identification.identify import identify
@@ -23,12 +22,9 @@ from twin.identification.prior_from_estimate import CarriedOverPrior, DriftFacto
 __all__ = [
     "BallCheck",
     "CarriedOverPrior",
-    "DriftEstimate",
     "DriftFactor",
-    "DriftPrior",
     "Estimate",
     "FieldKnowledge",
-    "MachineDrift",
     "Misfit",
     "NullDirection",
     "Options",

@@ -12,7 +12,6 @@ from twin.arrays import Array
 from twin.artefact.artefact_calibration import ArtefactCalibration
 from twin.identification.alternatives import Alternative
 from twin.identification.checks.certificate_check import BallCheck, check_certificate
-from twin.identification.drift import DriftEstimate
 from twin.identification.evidence import OrderEvidence, scales_at_bounds
 from twin.identification.misfit import MisfitModes
 from twin.identification.normal import Scales
@@ -21,6 +20,7 @@ from twin.identification.options import Formulation
 from twin.identification.prior_from_estimate import CarriedOverPrior, DriftFactor
 from twin.identification.unknowns import Unknowns
 from twin.machine.error_model import ErrorModel
+from twin.thermal.machine_drift import DriftEstimate
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,6 @@ from twin.identification.checks.outliers import contradicting_rows, studentised_
 from twin.identification.checks.slipped_position import Slip, slip_in
 from twin.identification.checks.wrong_balls import WrongBallSearch, is_isolated, with_free_balls
 from twin.identification.distances import DistanceEquations
-from twin.identification.drift import DriftEstimate
 from twin.identification.estimate import Estimate, Misfit
 from twin.identification.evidence import PRIOR
 from twin.identification.misfit import MisfitModes
@@ -29,6 +28,7 @@ from twin.identification.roll import build_measured_problem, restrict_measured_p
 from twin.identification.solution import Solution, average_over_scales, solve
 from twin.machine.error_model import ErrorModel
 from twin.machine.machine_population import Family
+from twin.thermal.machine_drift import DriftEstimate
 from twin.units import UM_PER_MM
 
 _MAX_REJECTED_SHARE = 0.2

@@ -7,9 +7,9 @@ from typing import Literal
 
 from twin.arrays import Array
 from twin.errors import DataError
-from twin.identification.drift import DriftPrior
 from twin.identification.normal import Scales
 from twin.identification.prior_from_estimate import CarriedOverPrior
+from twin.thermal.models import ThermalModel
 
 Formulation = Literal["centres", "distances"]
 Weights = Literal["full", "unit"]
@@ -56,8 +56,8 @@ class Options:
     the thermometer is exact. An uncertainty that differs from that of the carried-over estimate means another
     thermometer, whose error is unknown again.
 
-    `drift` is the prior of a drift of the machine in proportion to the thermal regressors of the observations. It is
-    None if drift is not estimated. `state_regressors` (w,) contains the thermal regressors in K of the state that the
+    `drift` is the temperature model that the thermal regressors of the observations belong to. It is None if drift of
+    the machine is not estimated. `state_regressors` (w,) contains the thermal regressors in K of the state that the
     estimate describes. If it is None, all regressors of this state are zero, as at the start of the measurement.
     """
 
@@ -72,7 +72,7 @@ class Options:
     false_alarm: float = 0.01
     misfit_mm: float = 0.001
     temperature_standard_uncertainty_k: float | None = None
-    drift: DriftPrior | None = None
+    drift: ThermalModel | None = None
     state_regressors: Array | None = None
 
     @property

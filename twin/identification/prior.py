@@ -12,11 +12,11 @@ from twin.artefact.artefact import Artefact
 from twin.artefact.certificate import has_certificate
 from twin.artefact.observations import Observations
 from twin.errors import DataError
-from twin.identification.drift import MachineDrift
 from twin.identification.misfit import MisfitModes, misfit_modes
 from twin.identification.options import Options
 from twin.identification.unknowns import ArtefactErrors, Unknowns
 from twin.machine.machine_population import Family
+from twin.thermal.machine_drift import MachineDrift
 
 
 def unknowns_of(family: Family, artefact: Artefact, seen: Observations, options: Options) -> Unknowns:
@@ -54,7 +54,7 @@ def _drift(family: Family, seen: Observations, options: Options, scale: Array) -
     regressor_count = seen.thermal_regressors.shape[1]
     if options.drift is None or regressor_count == 0:
         return None
-    return MachineDrift.of(family.model, options.drift, regressor_count, scale > 0.0)
+    return options.drift.unknowns(family.model, regressor_count, scale > 0.0)
 
 
 def _scale(family: Family, options: Options) -> Array:

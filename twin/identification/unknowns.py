@@ -12,9 +12,9 @@ from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.artefact_calibration import ArtefactCalibration, artefact_calibration
 from twin.artefact.certificate import has_certificate
-from twin.identification.drift import MachineDrift
 from twin.identification.misfit import MisfitModes
 from twin.machine.error_model import ErrorModel
+from twin.thermal.machine_drift import MachineDrift
 
 _COVARIANCE_TOLERANCE = 1e-9  # of both standard deviations: tolerance for two covariances of the same certificate
 

@@ -14,8 +14,8 @@ from typing import Self, TypeAlias
 from agent.reports.journal_estimate import JournalEstimate
 from agent.results.facts import ArtefactFacts, ProbeFacts, Quantity, TableFacts, VolumetricSummary
 from agent.results.gates import Gate
-from agent.results.thermometer import ThermometerFacts
 from agent.results.travel_parts import TravelParts
+from agent.thermal.thermometer import ThermometerFacts
 from twin.arrays import Array
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import POSITION_SETS, Position, set_orientations

@@ -40,6 +40,7 @@ from agent.results.gates import (
     with_consent,
 )
 from agent.results.journal_entries import record_held_out, record_identified
+from agent.results.observations import balls_for_estimate
 from agent.results.run_outcome import Confirmation, Decision, Proof
 from agent.results.table_image import image_of
 from agent.results.table_replacement import (
@@ -51,7 +52,6 @@ from agent.results.table_replacement import (
     prove,
     written_parameters,
 )
-from agent.results.thermal_drift import balls_for_estimate
 from agent.runs.change_since_reference import change_since
 from agent.runs.consent import Consent, consent_request, opens_by_consent
 from agent.runs.kinds.run_parts import (

@@ -23,10 +23,9 @@ from agent.probing.repeated_positions import join_measured
 from agent.probing.run_plan import MEASURED, MeasuredPositions, measure_positions, note_measured
 from agent.results.estimation import EstimationResult, estimate_with_table
 from agent.results.gates import Gate, change_gate, estimate_gates, shape_gates
-from agent.results.observations import positions_named
+from agent.results.observations import balls_for_estimate, observations_of, positions_named
 from agent.results.run_outcome import Decision, NightReport, Proof
 from agent.results.table_replacement import ExpectedGain
-from agent.results.thermal_drift import balls_for_estimate, fusion_options, observations_with_drift
 from agent.runs.change_since_reference import change_since, fit_of_night
 from agent.runs.consent import Consent
 from agent.runs.kinds.calibrate import nights_since
@@ -68,6 +67,7 @@ from agent.runs.reference_state import (
     record_full_calibration_need,
     require_reference,
 )
+from agent.thermal.machine_drift import run_drift, thermal_options
 from drivers.roles import StoreLimits
 from twin.artefact.position_set import Position
 from twin.monitoring.night_fit import NightFit
@@ -374,8 +374,9 @@ def _fuse(running: _Night, measured: MeasuredPositions) -> _Fused:
     job, judge, chosen = running.job, running.task.judge, running.job.settings
     balls = balls_for_estimate(job, measured)
     with translated(MeasurementFault):
-        observations = observations_with_drift(job, balls, running.ready.correction)
-        options = fusion_options(chosen.temperature, observations, judge.prior)
+        drift = run_drift(chosen.temperature, [ball.conditions for ball in balls])
+        observations = observations_of(balls, job.tool_offset_mm, running.ready.correction, drift)
+        options = replace(thermal_options(chosen.temperature, drift), carried_over=judge.prior)
         fit = fit_of_night(job, judge.reference, judge.nights, observations, options)
         options = replace(options, carried_over=fit.prior)
         order = chosen.identification.order

@@ -7,8 +7,8 @@ import pytest
 
 from agent.probing.ball import FittedBall
 from agent.probing.position import MeasuredBall
-from agent.probing.temperature_readings import Conditions
 from agent.results.observations import no_correction, observations_of, positions_named
+from agent.thermal.readings import Conditions
 from twin.errors import PositionError
 
 

@@ -10,10 +10,10 @@ import pytest
 
 from agent.errors import MeasurementFault
 from agent.execution import steps as s
-from agent.probing.position_drift import DriftLimits, judge_drift
-from agent.probing.temperature_readings import Conditions, Thermometers, rate_k_per_h
-from agent.probing.thermal_settling import SettlingRules, wait_until_settled
 from agent.settings.temperature import TemperatureSettings
+from agent.thermal.position_drift import DriftLimits, judge_drift
+from agent.thermal.readings import Conditions, Thermometers, rate_k_per_h
+from agent.thermal.settling import SettlingRules, wait_until_settled
 
 RULES = SettlingRules(max_rate_k_per_h=5.0, max_departure_k=4.0, poll_interval_s=60.0, deadline_s=1800.0)
 

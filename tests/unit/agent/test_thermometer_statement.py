@@ -14,11 +14,10 @@ from agent.planning.design.set_valuation import valuation_of
 from agent.planning.identifiability import RankRequest, rank
 from agent.planning.job import Job
 from agent.probing.run_plan import MeasuredPositions
-from agent.results.observations import no_correction, observations_of
+from agent.results.estimation import identification_options
 from agent.results.predicted_accuracy import preflight_estimate
-from agent.results.thermal_drift import identification_options
-from agent.results.thermometer import ThermometerFacts, ThermometerStatement
 from agent.runs.kinds.calibrate import preflight_of
+from agent.thermal.thermometer import ThermometerFacts, ThermometerStatement
 from twin.artefact.position_set import parse_position_set
 from twin.machine.volumetric import VolumetricRms
 from twin.uncertainty.thermometer_effect import ThermometerEffect
@@ -40,8 +39,7 @@ def measured() -> MeasuredPositions:
 @pytest.mark.parametrize(("stated_k", "used_k"), STATED)
 def test_the_run_and_every_prediction_of_it_use_the_same_number(stated_k: float | None, used_k: float) -> None:
     job = job_with(stated_k)
-    seen = observations_of(job.balls_of(measured(), held_out=False), job.tool_offset_mm, no_correction)
-    run = identification_options(job.settings.identification, job.settings.temperature, seen)
+    run = identification_options(job.settings.identification, job.settings.temperature, None)
     assert run.temperature_standard_uncertainty_k == used_k
     assert DesignProblem({job.settings.tool: job}, 90.0).options.temperature_standard_uncertainty_k == used_k
     predicted = preflight_estimate(job, measured()).unknowns.artefact

@@ -9,17 +9,21 @@ import pytest
 from measured_set import RANGES, TOOL, bar, case_study, measured, truth_of
 
 from twin.artefact.observations import Observations
-from twin.artefact.thermal_regressors import smooth_readings, thermal_regressors
 from twin.errors import DataError
-from twin.identification import DriftPrior, Options, identify
+from twin.identification import Options, identify
 from twin.machine.forward_model import deviation_basis, exact_deviation
 from twin.machine.volumetric import evaluation_grid
+from twin.thermal.growth_and_bending import DriftByThermometer, DriftByTime
+from twin.thermal.machine_drift import DriftPrior
+from twin.thermal.models import choose_model
+from twin.thermal.readings import MachineTemperatures, smooth_readings
 
 MODEL, FAMILY = case_study(3)
 BAR = bar()
 SCALES_PER_K = np.array([8e-6, 9e-6, 10e-6])
 TIP_PER_K = np.array([0.002, 0.008, -0.005])
 GRID = evaluation_grid(RANGES, (12, 6, 6))
+WARMING = DriftByThermometer(DriftPrior())
 PLAIN = Options(misfit_mm=0.0, estimate_scales=False, outliers="none")
 
 
@@ -57,7 +61,7 @@ def test_the_estimate_is_that_of_the_machine_as_it_stands_at_the_end() -> None:
     truth = FAMILY.draw(rng, 1)[0]
     seen = warmed(truth, rng)
     blind = replace(seen.select(np.arange(seen.size)), thermal_regressors=np.zeros((seen.size, 0)))
-    options = replace(PLAIN, drift=DriftPrior(), state_regressors=seen.thermal_regressors[-1])
+    options = replace(PLAIN, drift=WARMING, state_regressors=seen.thermal_regressors[-1])
     found = identify(MODEL, seen, BAR, FAMILY, options)
     unaware = identify(MODEL, blind, BAR, FAMILY, PLAIN)
     assert left_um(found.parameters, truth, 3.0) < 4.0
@@ -73,11 +77,11 @@ def test_the_estimate_is_that_of_the_machine_as_it_stands_at_the_end() -> None:
 def test_the_drift_adds_the_deviations_of_the_changed_parameters_and_of_the_tip() -> None:
     rng = np.random.default_rng(3)
     seen = warmed(FAMILY.draw(rng, 1)[0], rng)
-    options = replace(PLAIN, drift=DriftPrior(), state_regressors=seen.thermal_regressors[-1])
+    options = replace(PLAIN, drift=WARMING, state_regressors=seen.thermal_regressors[-1])
     found = identify(MODEL, seen, BAR, FAMILY, options)
     assert found.drift is not None
     basis = rng.normal(size=(2, 3, MODEL.size))
-    for course in rng.normal(size=(4, found.drift.drift.regressor_count)):
+    for course in rng.normal(size=(4, seen.thermal_regressors.shape[1])):
         change = {name: value for name, (value, _) in found.drift.change(course).items()}
         tip = np.array([change.pop(f"tip {axis}") for axis in "XYZ"])
         expected = tip + sum(basis[:, :, MODEL.index(name)] * value for name, value in change.items())
@@ -87,14 +91,13 @@ def test_the_drift_adds_the_deviations_of_the_changed_parameters_and_of_the_tip(
 def test_what_is_kept_of_an_estimate_knows_nothing_of_the_drift() -> None:
     rng = np.random.default_rng(2)
     seen = warmed(FAMILY.draw(rng, 1)[0], rng)
-    found = identify(
-        MODEL, seen, BAR, FAMILY, replace(PLAIN, drift=DriftPrior(), state_regressors=seen.thermal_regressors[-1])
-    )
+    options = replace(PLAIN, drift=WARMING, state_regressors=seen.thermal_regressors[-1])
+    found = identify(MODEL, seen, BAR, FAMILY, options)
     assert found.unknowns.drift is None
     assert found.z.shape == (found.unknowns.blocks.size,)
     assert found.parameters == pytest.approx(found.unknowns.parameters(found.z))
     found.carried_over()
-    early = identify(MODEL, seen, BAR, FAMILY, replace(PLAIN, drift=DriftPrior()))
+    early = identify(MODEL, seen, BAR, FAMILY, replace(PLAIN, drift=WARMING))
     place = MODEL.index("EXX[1]")
     moved = found.parameters[place] - early.parameters[place]
     assert found.drift is not None
@@ -106,20 +109,20 @@ def test_without_a_course_nothing_changes() -> None:
     truth = FAMILY.draw(rng, 1)[0]
     seen = measured("S3", 3, BAR, lambda at, tool: exact_deviation(MODEL, at, tool, truth), rng)
     plain = identify(MODEL, seen, BAR, FAMILY, Options())
-    ready = identify(MODEL, seen, BAR, FAMILY, Options(drift=DriftPrior()))
+    ready = identify(MODEL, seen, BAR, FAMILY, Options(drift=WARMING))
     assert (plain.parameters == ready.parameters).all()
     assert ready.drift is None
 
 
 def test_stated_uncertainty_of_the_drifted_parameters_holds() -> None:
     """For machines and drifts drawn from their priors, errors are as large as stated."""
-    prior, squares = DriftPrior(), []
+    squares = []
     for seed in range(60):
         rng = np.random.default_rng([7, seed])
         truth = FAMILY.prior_standard_deviation * rng.standard_normal(MODEL.size)
         still = measured("S3", 3, BAR, truth_of(MODEL, truth), rng)
         course = np.linspace(0.0, 2.0, still.size)[:, None]
-        options = replace(PLAIN, drift=prior, state_regressors=course[-1])
+        options = replace(PLAIN, drift=WARMING, state_regressors=course[-1])
         found = identify(MODEL, replace(still, thermal_regressors=course), BAR, FAMILY, options)
         assert found.drift is not None
         drift = found.drift.drift
@@ -154,12 +157,18 @@ def test_the_course_follows_the_thermometer_and_begins_at_zero() -> None:
     instants = np.arange(0.0, 3600.0, 12.0)
     exact = 20.0 + 3.0 * (1.0 - np.exp(-instants / 1200.0))
     told = exact + 0.02 * np.random.default_rng(5).standard_normal(len(instants))
-    course = thermal_regressors(instants, told, 3.0)
+    model, course = choose_model(MachineTemperatures(instants, told, 3.0), DriftPrior())
+    assert isinstance(model, DriftByThermometer)
     assert (course[0] == 0.0).all()
     inside = slice(15, -15)
     assert np.abs(smooth_readings(instants, told) - exact)[inside].max() < 0.02
     assert np.std(course[inside, 0] - (exact[inside] - exact[0])) < 0.008
-    assert thermal_regressors(instants, None, 3.0)[-1] == pytest.approx([3.0, 1.2])
+
+
+def test_without_a_thermometer_the_course_is_that_of_the_time() -> None:
+    model, course = choose_model(MachineTemperatures(np.array([7.0, 1807.0, 3607.0]), None, 3.0), DriftPrior())
+    assert isinstance(model, DriftByTime)
+    assert course == pytest.approx(np.array([[0.0, 0.0], [1.5, 0.3], [3.0, 1.2]]))
 
 
 def test_smoothing_keeps_straight_lines_and_lone_readings() -> None:

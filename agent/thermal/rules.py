@@ -3,12 +3,12 @@ machine's errors (prior of the thermal drift). They are built from the section `
 
 from __future__ import annotations
 
-from agent.probing.position_drift import DriftLimits
-from agent.probing.temperature_readings import Thermometers
-from agent.probing.thermal_settling import SettlingRules
 from agent.settings.schema import ProcedureSettings
 from agent.settings.temperature import TemperatureSettings
-from twin.identification import DriftPrior
+from agent.thermal.position_drift import DriftLimits
+from agent.thermal.readings import Thermometers
+from agent.thermal.settling import SettlingRules
+from twin.thermal.machine_drift import DriftPrior
 from twin.units import MM_PER_UM, S_PER_MIN
 
 PER_UM_PER_M = 1e-6

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Self
 
-from twin.artefact.artefact_temperature import assumed_uncertainty_k
+from twin.thermal.artefact_temperature import assumed_uncertainty_k
 from twin.uncertainty.thermometer_effect import ThermometerEffect
 from twin.units import REFERENCE_TEMPERATURE_C
 

@@ -4,7 +4,7 @@ temperature and time."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from agent.errors import MeasurementFault
@@ -84,3 +84,10 @@ def rate_k_per_h(trace: Sequence[Conditions]) -> float | None:
         return None
     product = math.fsum((one.instant_s - middle_s) * (one.artefact_c - middle_c) for one in trace)
     return 3600.0 * product / square
+
+
+def machine_change_k(conditions: Collection[Conditions], declared_k: float) -> float:
+    """Return the range (largest minus smallest value) in K of the machine's temperature readings. If there are no
+    readings, return `declared_k`."""
+    readings_c = [one.machine_c for one in conditions if one.machine_c is not None]
+    return max(readings_c) - min(readings_c) if readings_c else declared_k

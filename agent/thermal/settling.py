@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from agent.errors import MeasurementFault
 from agent.execution.steps import Dwell, Plan, Record
-from agent.probing.temperature_readings import Conditions, Thermometers, rate_k_per_h, read_conditions
+from agent.thermal.readings import Conditions, Thermometers, rate_k_per_h, read_conditions
 from twin.units import S_PER_MIN
 
 MIN_TREND_S = 60.0
