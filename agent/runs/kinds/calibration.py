@@ -26,7 +26,6 @@ from agent.results.estimation import (
     estimate_from_balls,
     estimate_text,
     provenance,
-    thermometer_facts,
 )
 from agent.results.gates import (
     CHANGE,
@@ -176,8 +175,7 @@ def estimated(
     """Make and journal the estimate that `estimate` returns; `balls` returns the balls from which it is made."""
 
     def record(journal: RunJournal, estimation: EstimationResult) -> None:
-        thermometer = thermometer_facts(estimation, job.settings.temperature)
-        record_identified(journal, balls(), estimation, thermometer)
+        record_identified(journal, balls(), estimation)
         journal.estimate(estimate_text(estimation, provenance(job, journal.run_id)))
 
     estimation: EstimationResult = yield Conclude("identify/estimate", estimate, None, record)

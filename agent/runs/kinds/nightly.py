@@ -21,7 +21,7 @@ from agent.planning.preflight import PreflightResult, run_preflight
 from agent.probing.publish import ActiveCompensation
 from agent.probing.repeated_positions import join_measured
 from agent.probing.run_plan import MEASURED, MeasuredPositions, measure_positions, note_measured
-from agent.results.estimation import EstimationResult, estimate_with_table
+from agent.results.estimation import EstimationResult, estimate_for_job
 from agent.results.gates import Gate, change_gate, estimate_gates, shape_gates
 from agent.results.observations import positions_named
 from agent.results.run_outcome import Decision, NightReport, Proof
@@ -378,11 +378,8 @@ def _fuse(running: _Night, measured: MeasuredPositions) -> _Fused:
         options = fusion_options(chosen.temperature, observations, judge.prior)
         fit = fit_of_night(job, judge.reference, judge.nights, observations, options)
         options = replace(options, carried_over=fit.prior)
-        order = chosen.identification.order
         with positions_named(balls):
-            estimation = estimate_with_table(
-                job.machine, job.artefact, chosen.tool, observations, options, chosen.table, order
-            )
+            estimation = estimate_for_job(job, observations, options)
     return _Fused(estimation, fit)
 
 
