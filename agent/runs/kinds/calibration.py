@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from agent.errors import GateRefused, MeasurementFault
 from agent.execution.journal import RunJournal
 from agent.execution.states import RunState
-from agent.execution.steps import AskOperator, Conclude, Enter, Fork, Plan, RunPlan
+from agent.execution.steps import AskOperator, Conclude, Enter, Fork, Plan, RunPlan, known
 from agent.files import translated
 from agent.planning.job import Job
 from agent.planning.stand_ins import STAND_IN_TABLE, USUAL_STORE
@@ -290,14 +290,13 @@ def written(
     yield from publish.stage_table(bank, image)
     yield from record_table("staged", bank, image)
     yield Enter("state/activating", RunState.ACTIVATING)
-    in_use = BankInUse(bank)
-    yield Conclude("publish/bank", lambda: in_use, in_use)
+    yield known("publish/bank", BankInUse(bank))
     try:
         yield from publish.activate("activate", bank, limits.activation)
     except NotActiveYet as error:
         # Not a failure: the run is resumed once the controller has done its part.
         waiting = error
-        yield Conclude("publish/waits", lambda: waiting)
+        yield known("publish/waits", waiting)
         yield Enter("state/written", RunState.WRITTEN, lambda: str(waiting))
         return None
     yield Enter("state/verifying", RunState.VERIFYING)
@@ -346,7 +345,7 @@ def _accepted(job: Job, estimation: EstimationResult, image: TableImage, proof: 
     def record(journal: RunJournal, _: object) -> None:
         record_accepted(journal, AcceptedTable.of(job, estimation.estimate.parameters, image))
 
-    yield Conclude("prove/accepted", lambda: None, None, record)
+    yield known("prove/accepted", None, record)
     yield from complete(lambda: proof().reason)
     return None
 

@@ -14,7 +14,7 @@ from functools import partial
 from agent.errors import MeasurementFault
 from agent.execution.journal import RunJournal
 from agent.execution.states import RunState
-from agent.execution.steps import Conclude, Enter, Fork, Plan, Point, ProvePlan, RunPlan
+from agent.execution.steps import Conclude, Enter, Fork, Plan, Point, ProvePlan, RunPlan, known
 from agent.files import translated
 from agent.planning.job import Job
 from agent.planning.preflight import PreflightResult, run_preflight
@@ -291,7 +291,7 @@ def _diagnosed(running: _Night, measured: MeasuredPositions, judgement: Callable
     if chosen:
         own = replace(running.job, positions=(*running.job.positions, *chosen))
         running = replace(running, task=replace(task, job=own))
-        yield Conclude("night/job", lambda: own, own)
+        yield known("night/job", own)
         measured = yield from running.measure(DIAGNOSIS, chosen, measured)
         again = yield from running.judged("night/diagnosis", measured)
         report = partial(_again, lambda: again, judgement)
@@ -406,7 +406,7 @@ def _kept(running: _Night, gates: Callable[[], Sequence[Gate]], report: Callable
     """Accept the fused estimate; the active table stays."""
     yield from checked_gates(gates)
     table = running.task.judge.reference.table
-    yield Conclude("night/kept", lambda: None, None, lambda journal, _: record_accepted(journal, table))
+    yield known("night/kept", None, lambda journal, _: record_accepted(journal, table))
     return (yield from _ended(lambda: replace(report(), decision=Decision.FUSED)))
 
 
