@@ -75,11 +75,9 @@ def table_subject(table: CompensationTable) -> str:
     return subject(table.machine or "not stated", table.artefact or "not stated")
 
 
-def travel_rows(travel: TravelParts | None) -> list[tuple[str, str]]:
+def travel_rows(travel: TravelParts) -> list[tuple[str, str]]:
     """Return rows (name, text) with the volumetric error before and after compensation inside and outside the measured
     region."""
-    if travel is None:
-        return []
     rows = []
     for name, part in (("VE → VCE where measured", travel.measured), ("VE → VCE elsewhere", travel.unmeasured)):
         if part is not None:

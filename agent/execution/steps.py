@@ -237,6 +237,11 @@ class Conclude:
     record: Callable[[Any, Any], None] = record_nothing
 
 
+def known(key: str, value: object, record: Callable[[Any, Any], None] = record_nothing) -> Conclude:
+    """Return the conclusion of a value that is known beforehand, so that it is also the stand-in of a preflight."""
+    return Conclude(key, lambda: value, value, record)
+
+
 @dataclass(frozen=True, slots=True)
 class Decide:
     """Step: choice of one of `outcomes`, the names of the ways of a `Fork`. The result is the name that `choose`

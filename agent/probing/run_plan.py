@@ -12,12 +12,12 @@ from agent.errors import MeasurementFault, PlacementLost
 from agent.execution.steps import (
     CheckPermissions,
     CheckProbe,
-    Conclude,
     MoveTo,
     Plan,
     ReadPosition,
     ReadTemperatures,
     Record,
+    known,
 )
 from agent.probing.hand_placement import HandPlacement, PlacementFault, PlacementRefusal, PlacementTask, place_artefact
 from agent.probing.paths.raised_path import RaisedPathPlanner
@@ -273,7 +273,7 @@ def _top_axis_mm(position: Position, layout: MeasuringLayout) -> float:
 
 def note_measured(role: str, measured: MeasuredPositions) -> Plan[None]:
     """Make `measured` known to whoever observes the run, under the key `role`, `MEASURED` or `VERIFIED`."""
-    yield Conclude(role, lambda: measured, stand_in=measured)
+    yield known(role, measured)
 
 
 def position_key(position: Position) -> str:

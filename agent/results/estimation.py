@@ -8,13 +8,14 @@ Computation of the volumetric error inside and outside the measured region from 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 
 import numpy as np
 
 from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
+from agent.results.artefact_calibration import calibration_record
 from agent.results.facts import Quantity, VolumetricSummary
 from agent.results.observations import Correction, ReferenceArtefact, observations_of, positions_named
 from agent.results.travel_parts import Limits, TravelPart, TravelParts
@@ -34,7 +35,7 @@ from twin.identification.predicted import expected_vce, field_forms
 from twin.machine.error_model import ErrorModel
 from twin.machine.machine_description import MachineDescription
 from twin.machine.volumetric import QuadraticForm, evaluation_grid
-from twin.uncertainty.thermometer_effect import ThermometerEffect, thermometer_effect
+from twin.uncertainty.thermometer_effect import thermometer_effect
 from twin.uncertainty.volumetric_distribution import regional_limits
 from twin.uncertainty.volumetric_limits import limits_of_form
 from twin.units import UM_PER_MM
@@ -46,8 +47,7 @@ class EstimationResult:
 
     `volumetric` contains the estimated volumetric error (VE) of the machine without compensation and the predicted
     volumetric compensated error (VCE), the volumetric error that remains with the table active. `travel` contains both
-    inside and outside the measured region. `thermometer` is the part of the prediction that is due to the artefact's
-    thermometer.
+    inside and outside the measured region. `thermometer` is the effect of the artefact's thermometer on the prediction.
     """
 
     observations: Observations
@@ -55,12 +55,39 @@ class EstimationResult:
     volumetric: VolumetricSummary
     travel: TravelParts
     table: CompensationTable
-    thermometer: ThermometerEffect
+    thermometer: ThermometerFacts
 
     def reference(self, artefact: Artefact) -> ReferenceArtefact:
         """Return the artefact with whose balls the table is proved, for the `artefact` of the artefact file."""
         estimate = self.estimate
         return ReferenceArtefact.of(artefact, estimate.unknowns, estimate.z, estimate.z_covariance)
+
+    def as_json(self) -> dict[str, object]:
+        """Return the JSON object of the estimation, which is part of those of a run and of an identification from
+        files (docs/reference/json.md)."""
+        estimate, before, after = self.estimate, self.volumetric.before_aligned, self.volumetric.after_aligned
+        return {
+            "rank": estimate.rank,
+            "parameters": estimate.model.size,
+            "estimated_ve_um": before.value_um,
+            "estimated_ve_limits_um": before.limits_um and list(before.limits_um),
+            "predicted_vce_um": after.value_um,
+            "predicted_vce_limits_um": after.limits_um and list(after.limits_um),
+            "thermometer": asdict(self.thermometer),
+            "travel": self.travel.as_record(),
+            "artefact_calibration": calibration_record(estimate.artefact_calibration),
+            "chi2_normalised": estimate.chi2_normalised,
+            "rejected": [list(row) for row in estimate.rejected],
+        }
+
+
+NO_ESTIMATION: dict[str, object] = {
+    **dict.fromkeys(("rank", "parameters", "estimated_ve_um", "estimated_ve_limits_um")),
+    **dict.fromkeys(("predicted_vce_um", "predicted_vce_limits_um", "thermometer", "travel")),
+    **dict.fromkeys(("artefact_calibration", "chi2_normalised")),
+    "rejected": [],
+}
+"""JSON object of an estimation that was not made."""
 
 
 def estimate_with_table(
@@ -69,11 +96,12 @@ def estimate_with_table(
     tool: str,
     observations: Observations,
     options: Options,
+    thermometer: ThermometerStatement,
     table: TableSettings,
     order: Order,
 ) -> EstimationResult:
-    """Identify the machine's errors and build the compensation table for `tool`. Raises TwinError if this is not
-    possible."""
+    """Identify the machine's errors and build the compensation table for `tool`. `thermometer` states the origin of
+    the artefact's temperature and of its uncertainty. Raises TwinError if this is not possible."""
     offset = machine.tool(tool)
     estimate = estimate_machine(machine, artefact, observations, options, order)
     model = estimate.model
@@ -86,7 +114,7 @@ def estimate_with_table(
         volumetric_summary(estimate, offset, forms),
         travel_parts(estimate, offset, observations.axis_positions),
         replace(built, machine=machine.name, artefact=artefact.name),
-        thermometer_effect(estimate, forms),
+        ThermometerFacts.of(thermometer_effect(estimate, forms), thermometer),
     )
 
 
@@ -141,14 +169,11 @@ def estimate_from_balls(job: Job, balls: Sequence[MeasuredBall], correction: Cor
 
     `correction` is the correction that the active table added during the measurement.
     """
-    settings, order = job.settings, job.settings.identification.order
-    drift = run_drift(settings.temperature, [ball.conditions for ball in balls])
+    drift = run_drift(job.settings.temperature, [ball.conditions for ball in balls])
     observations = observations_of(balls, job.tool_offset_mm, correction, drift)
-    options = identification_options(settings.identification, settings.temperature, drift)
+    options = identification_options(job.settings.identification, job.settings.temperature, drift)
     with positions_named(balls):
-        return estimate_with_table(
-            job.machine, job.artefact, settings.tool, observations, options, settings.table, order
-        )
+        return estimate_for_job(job, observations, options)
 
 
 def identification_options(
@@ -164,11 +189,22 @@ def identification_options(
     )
 
 
-def thermometer_facts(estimation: EstimationResult, temperature: TemperatureSettings) -> ThermometerFacts:
-    """Return the effect of the artefact's thermometer on the result of a run with the settings `temperature`."""
-    was_read = temperature.declared_artefact_c is None
-    statement = ThermometerStatement.of(temperature.standard_uncertainty_k, was_read)
-    return ThermometerFacts.of(estimation.thermometer, statement)
+def estimate_for_job(job: Job, observations: Observations, options: Options) -> EstimationResult:
+    """Return the estimate of the machine's errors from `observations` and the compensation table made from it, with the
+    settings of `job`. Raises TwinError if this is not possible."""
+    settings = job.settings
+    return estimate_with_table(
+        job.machine,
+        job.artefact,
+        settings.tool,
+        observations,
+        options,
+        ThermometerStatement.of(
+            settings.temperature.standard_uncertainty_k, settings.temperature.declared_artefact_c is None
+        ),
+        settings.table,
+        settings.identification.order,
+    )
 
 
 def estimate_text(estimation: EstimationResult, origin: Mapping[str, str]) -> str:

@@ -25,7 +25,6 @@ from agent.results.facts import ArtefactFacts, TableFacts
 from agent.results.observations import certified_balls, displayed_residuals
 from agent.results.probe_facts import probe_facts
 from agent.results.run_outcome import Outcome
-from agent.thermal.thermometer import ThermometerFacts
 from drivers.errors import ConfigurationError
 from twin.artefact.artefact import Artefact
 from twin.artefact.position_set import Position
@@ -63,13 +62,10 @@ def record_probe(journal: RunJournal, prepared: PreparationResult) -> None:
         journal.decision(PROBE, {"facts": asdict(facts), "warnings": warnings})
 
 
-def record_identified(
-    journal: RunJournal, balls: Sequence[MeasuredBall], estimation: EstimationResult, thermometer: ThermometerFacts
-) -> None:
+def record_identified(journal: RunJournal, balls: Sequence[MeasuredBall], estimation: EstimationResult) -> None:
     """Write to the journal the parts of an estimation that the estimate file does not contain.
 
-    `balls` contains the measured balls in the order of the observations. `thermometer` is the effect of the artefact's
-    thermometer on the result.
+    `balls` contains the measured balls in the order of the observations.
     """
     estimate = estimation.estimate
     positions = dict.fromkeys((ball.position, ball.station, ball.azimuth_deg, ball.elevation_deg) for ball in balls)
@@ -82,7 +78,7 @@ def record_identified(
             "unresolved_mm2": 0.0 if estimate.misfit is None else estimate.misfit.unresolved_mm2,
             "order": order_text(estimate),
             "volumetric": asdict(estimation.volumetric),
-            "thermometer": asdict(thermometer),
+            "thermometer": asdict(estimation.thermometer),
             "travel": estimation.travel.as_record(),
             "table": asdict(TableFacts.of(estimation.table, checksum(format_table(estimation.table)))),
         },

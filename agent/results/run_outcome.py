@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
 from agent.execution.states import RunState
 from agent.probing.reversal import AxisReversal
-from agent.results.artefact_calibration import calibration_record
-from agent.results.travel_parts import TravelParts
+from agent.results.estimation import NO_ESTIMATION, EstimationResult
 from agent.results.trial_report import TrialReport
-from agent.thermal.thermometer import ThermometerFacts
-from twin.artefact.artefact_calibration import ArtefactCalibration
 
 
 @dataclass(frozen=True)
@@ -139,11 +136,6 @@ class NightReport:
         }
 
 
-def limits_list(limits: tuple[float, float] | None) -> list[float] | None:
-    """Return the lower and the upper limit as a list for JSON; None if the limits are not known."""
-    return None if limits is None else list(limits)
-
-
 @dataclass(frozen=True)
 class Outcome:
     """State, results and report of a run. A field is None if the run ended before the field was set."""
@@ -159,17 +151,7 @@ class Outcome:
     predicted_minutes: float | None
     table_bank: int | None
     report: Path | None
-    rank: int | None = None
-    parameters: int | None = None
-    estimated_ve_um: float | None = None
-    predicted_vce_um: float | None = None
-    estimated_ve_limits_um: tuple[float, float] | None = None
-    predicted_vce_limits_um: tuple[float, float] | None = None
-    thermometer: ThermometerFacts | None = None
-    travel: TravelParts | None = None
-    artefact_calibration: ArtefactCalibration | None = None
-    chi2_normalised: float | None = None
-    rejected: tuple[tuple[int, int, int], ...] = ()
+    estimation: EstimationResult | None = None
     proof: Proof | None = None
     confirmed: Confirmation | None = None
     night: NightReport | None = None
@@ -194,17 +176,7 @@ class Outcome:
             "predicted_minutes": None if self.predicted_minutes is None else round(self.predicted_minutes, 3),
             "wall_seconds": round(self.wall_seconds, 3),
             "link_interruptions": self.link_interruptions,
-            "rank": self.rank,
-            "parameters": self.parameters,
-            "estimated_ve_um": self.estimated_ve_um,
-            "estimated_ve_limits_um": limits_list(self.estimated_ve_limits_um),
-            "predicted_vce_um": self.predicted_vce_um,
-            "predicted_vce_limits_um": limits_list(self.predicted_vce_limits_um),
-            "thermometer": None if self.thermometer is None else asdict(self.thermometer),
-            "travel": None if self.travel is None else self.travel.as_record(),
-            "artefact_calibration": calibration_record(self.artefact_calibration),
-            "chi2_normalised": self.chi2_normalised,
-            "rejected": [list(row) for row in self.rejected],
+            **(NO_ESTIMATION if self.estimation is None else self.estimation.as_json()),
             "verified": None if self.proof is None else self.proof.accepted,
             "verification": None
             if self.proof is None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,6 @@ from agent.model_files import load_artefact, load_balls, load_machine
 from agent.reports.page import Header, IdentificationData, ReportData, name_of_positions
 from agent.results.artefact_calibration import (
     CALIBRATION_FILES,
-    calibration_record,
     calibration_texts,
     calibration_warnings,
 )
@@ -37,10 +36,9 @@ from agent.results.gates import (
     table_gates,
 )
 from agent.results.night_gate import night_document, night_gate, night_text
-from agent.results.run_outcome import limits_list
 from agent.results.table_replacement import ExpectedGain
 from agent.settings.schema import GateSettings, Order, TableSettings, VerificationSettings
-from agent.thermal.thermometer import ThermometerFacts, ThermometerStatement
+from agent.thermal.thermometer import ThermometerStatement
 from drivers.errors import ConfigurationError, InputError
 from drivers.roles import Activation, StoreLimits
 from twin.artefact.artefact import Artefact
@@ -149,15 +147,12 @@ class IdentificationResult:
         if not self.has_table:
             require_passed(self.gates, ". `--even-so` writes the table with a mark")
 
-    @property
-    def thermometer(self) -> ThermometerFacts:
-        return ThermometerFacts.of(self.estimation.thermometer, self.material.thermometer)
-
     def as_json(self, wall_seconds: float) -> dict[str, Any]:
         """Return the result as a JSON object with the keys that the JSON object of a run's outcome has. A value that
         exists only for a run on a machine is None."""
-        estimate, volumetric = self.estimation.estimate, self.estimation.volumetric
+        estimate = self.estimation.estimate
         return {
+            **self.estimation.as_json(),
             "state": "complete" if self.has_table else "refused",
             "run_id": self.run_id,
             "machine": self.material.machine.name,
@@ -168,24 +163,14 @@ class IdentificationResult:
             "touches": None,
             "machine_minutes": None,
             "wall_seconds": round(wall_seconds, 3),
-            "rank": estimate.rank,
-            "parameters": estimate.model.size,
             "orders": dict(estimate.model.orders),
             "order_evidence": {str(entry.order): entry.relative_log for entry in estimate.order_evidence},
-            "estimated_ve_um": volumetric.before_aligned.value_um,
-            "estimated_ve_limits_um": limits_list(volumetric.before_aligned.limits_um),
-            "predicted_vce_um": volumetric.after_aligned.value_um,
-            "predicted_vce_limits_um": limits_list(volumetric.after_aligned.limits_um),
             "predicted_vce_raw_um": None,
-            "thermometer": asdict(self.thermometer),
-            "travel": self.estimation.travel.as_record(),
             "verified": None,
             "table_bank": None,
             "report": str(self.report),
-            "chi2_normalised": estimate.chi2_normalised,
             "rejected": [list(row) for row in self.material.balls.as_numbered(estimate.rejected)],
             "certificate": certificate_document(estimate.certificate_check),
-            "artefact_calibration": calibration_record(estimate.artefact_calibration),
             "gates": {gate.name: gate.passed for gate in self.gates},
             "night": None if self.material.night is None else night_document(self.material.night),
             "table": str(self.report.with_name("table.csv")) if self.has_table else None,
@@ -291,6 +276,7 @@ def _gated(material: IdentificationInput, request: IdentificationRequest) -> tup
             material.tool,
             material.balls.observations,
             material.options,
+            material.thermometer,
             request.table,
             request.order,
         )
@@ -408,7 +394,7 @@ def _report_data(result: IdentificationResult, request: IdentificationRequest, c
             material.balls.positions,
             estimation.volumetric,
             TableFacts.of(estimation.table, crc32) if result.has_table else None,
-            result.thermometer,
+            estimation.thermometer,
             estimation.travel,
             material.balls.numbers,
         ),
@@ -436,8 +422,8 @@ def _warnings(result: IdentificationResult, options: Options) -> tuple[str, ...]
         notes.append(f"{100.0 * share:.0f} % of the table's nodes lie outside the measured region.")
     if material.tool not in _used_tools(material):
         notes.append(f"The table is made for the tool {material.tool}, but nothing was measured with this tool.")
-    if result.thermometer.warning is not None:
-        notes.append(result.thermometer.warning)
+    if estimation.thermometer.warning is not None:
+        notes.append(estimation.thermometer.warning)
     if material.night is not None and not material.night.fits:
         notes.append(f"{_sentence(night_text(material.night))}.")
     if not options.use_prior:

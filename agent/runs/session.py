@@ -22,7 +22,6 @@ from agent.execution.run_state import RunStateTracker
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
 from agent.planning.job import Job
-from agent.results.estimation import thermometer_facts
 from agent.results.journal_entries import record_outcome
 from agent.results.run_outcome import Outcome
 from agent.runs.guard import attempt, carry_out_guarded
@@ -277,17 +276,7 @@ class RunSession:
             predicted_minutes=None if self._planned is None else self._planned.preflight.machine_minutes,
             table_bank=progress.active_bank,
             report=None,
-            rank=None if estimation is None else estimation.estimate.rank,
-            parameters=None if estimation is None else estimation.estimate.model.size,
-            estimated_ve_um=None if estimation is None else estimation.volumetric.before_aligned.value_um,
-            predicted_vce_um=None if estimation is None else estimation.volumetric.after_aligned.value_um,
-            estimated_ve_limits_um=None if estimation is None else estimation.volumetric.before_aligned.limits_um,
-            predicted_vce_limits_um=None if estimation is None else estimation.volumetric.after_aligned.limits_um,
-            thermometer=None if estimation is None else thermometer_facts(estimation, settings.temperature),
-            travel=None if estimation is None else estimation.travel,
-            artefact_calibration=None if estimation is None else estimation.estimate.artefact_calibration,
-            chi2_normalised=None if estimation is None else estimation.estimate.chi2_normalised,
-            rejected=() if estimation is None else estimation.estimate.rejected,
+            estimation=estimation,
             proof=progress.proof,
             confirmed=progress.confirmed,
             night=progress.night,

@@ -6,28 +6,27 @@ the wait for a response of the scheduler. The computing time of a chunk is not l
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import pickle
+import platform
 import socket
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
-from concurrent.futures import Future as ConcurrentFuture
-from concurrent.futures import wait as futures_done
+from contextlib import contextmanager
+from functools import partial
+from importlib.metadata import version
 from typing import Any, Self, TypeVar
 from urllib.parse import urlsplit
 
-from distributed import Client, Future, KilledWorker, wait
+from distributed import Client, KilledWorker
 
 from agent.errors import RunError
-from agent.studies.chunks import local_software, run_chunk_on_cluster, split_into_chunks
-from agent.studies.workers import OnItemsDone
+from agent.studies.workers import OnItemsDone, in_chunks, run_chunk
 from drivers.errors import ConfigurationError, LinkLost, LinkTimeout, VolcalError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-Work = Future[list[Any]]
 
 CONNECT_S = 10.0
 FIRST_WORKER_S = 30.0
@@ -70,87 +69,33 @@ class DaskWorkers:
             self._client = None
 
     def map(self, task: Callable[[Item], Result], items: Sequence[Item], done: OnItemsDone) -> list[Result]:
-        client = self._connected()
-        pickled, software = pickle.dumps(task), local_software()
-        chunks = split_into_chunks(items, self._threads(client))
-        futures = [client.submit(run_chunk_on_cluster, pickled, chunk, software, pure=False) for chunk in chunks]
-        try:
-            found = self._collect(client, futures, done)
-        except BaseException:
-            if client.status == "running":
-                client.cancel(futures)  # type: ignore[no-untyped-call]
-            raise
-        return [result for results in found for result in results]
-
-    def _connected(self) -> Client:
         if self._client is None:
             raise RuntimeError("the workers are not connected: use them in a with block")
-        return self._client
+        client = self._client
+        hint = f"start one: dask worker {self._address}"
+        self._await_worker(client, "the Dask scheduler has no worker", hint)
+        threads = max(1, sum(self._workers(client).values()))
+        run = partial(run_chunk_on_cluster, pickle.dumps(task), local_software())
+        executor = client.get_executor(pure=False)  # type: ignore[no-untyped-call]
+        try:
+            with self._failures_translated():
+                return in_chunks(executor, threads, run, items, done, lambda: self._check(client), POLL_S)
+        except BaseException:
+            if client.status == "running":
+                executor.shutdown(wait=False)
+            raise
 
-    def _threads(self, client: Client) -> int:
+    def _check(self, client: Client) -> None:
+        """Raise LinkLost if the scheduler does not respond, and LinkTimeout if it has no workers left."""
+        if not self._workers(client):
+            hint = "check that the workers have the same volcal[cluster] and enough memory"
+            self._await_worker(client, "the Dask scheduler has no workers left", hint)
+
+    def _await_worker(self, client: Client, message: str, hint: str) -> None:
         try:
             client.wait_for_workers(1, timeout=FIRST_WORKER_S)
         except TimeoutError:
-            hint = f"start one: dask worker {self._address}"
-            raise LinkTimeout("the Dask scheduler has no worker", hint=hint, link=self._address) from None
-        return max(1, sum(self._workers(client).values()))
-
-    def _collect(self, client: Client, futures: Sequence[Work], done: OnItemsDone) -> list[list[Any]]:
-        """Wait for all results and return them in the order of the futures; call `done` as they arrive."""
-        number = {future.key: index for index, future in enumerate(futures)}
-        found: list[list[Any]] = [[] for _ in futures]
-        pending, finished = set(futures), 0
-        timeout = _WorkerTimeout(self._address)
-        while pending:
-            ready, pending = self._next(pending)
-            timeout.update(bool(ready or self._workers(client)))
-            for future in ready:
-                found[number[future.key]] = self._result(client, future)
-                finished += len(found[number[future.key]])
-            if ready:
-                done(finished)
-        return found
-
-    def _next(self, pending: set[Work]) -> tuple[set[Work], set[Work]]:
-        try:
-            ready, rest = wait(pending, timeout=POLL_S, return_when="FIRST_COMPLETED")  # type: ignore[no-untyped-call]
-        except TimeoutError:
-            return set(), pending
-        except CancelledError as error:
-            raise self._connection_lost() from error
-        return ready, rest
-
-    def _result(self, client: Client, future: Work) -> list[Any]:
-        """Return the result of a finished future.
-
-        If the worker that holds the result has died, the scheduler assigns the chunk to another worker. This method
-        waits for the new result as long as the scheduler responds and has workers.
-        """
-        loop = client.loop.asyncio_loop  # type: ignore[union-attr]
-        fetching = client.gather(future, asynchronous=True)  # type: ignore[no-untyped-call]
-        coming = asyncio.run_coroutine_threadsafe(fetching, loop)
-        timeout = _WorkerTimeout(self._address)
-        try:
-            while not futures_done([coming], timeout=POLL_S).done:
-                timeout.update(bool(self._workers(client)))
-        finally:
-            coming.cancel()  # no effect if it has finished
-        return self._unwrap(coming)
-
-    def _unwrap(self, ended: ConcurrentFuture[list[Any]]) -> list[Any]:
-        try:
-            return ended.result()
-        except VolcalError:
-            raise
-        except KilledWorker as error:
-            hint = "check the memory of the workers"
-            raise RunError("workers of the cluster died repeatedly", hint=hint, link=self._address) from error
-        except (CancelledError, OSError) as error:
-            raise self._connection_lost() from error
-        except (ImportError, RuntimeError, AttributeError, pickle.UnpicklingError) as error:
-            hint = "install the same volcal[cluster] on scheduler and workers"
-            message = f"the cluster cannot run the task: {' '.join(str(error).split())}"
-            raise ConfigurationError(message, hint=hint, link=self._address) from error
+            raise LinkTimeout(message, hint=hint, link=self._address) from None
 
     def _workers(self, client: Client) -> dict[str, int]:
         """Return the number of threads of each worker. Raises LinkLost if the scheduler does not respond."""
@@ -163,24 +108,47 @@ class DaskWorkers:
             raise self._connection_lost() from error
         return threads
 
+    @contextmanager
+    def _failures_translated(self) -> Iterator[None]:
+        try:
+            yield
+        except VolcalError:
+            raise
+        except KilledWorker as error:
+            hint = "check the memory of the workers"
+            raise RunError("workers of the cluster died repeatedly", hint=hint, link=self._address) from error
+        except (CancelledError, OSError) as error:
+            raise self._connection_lost() from error
+        except (ImportError, RuntimeError, AttributeError, pickle.UnpicklingError) as error:
+            hint = "install the same volcal[cluster] on scheduler and workers"
+            message = f"the cluster cannot run the task: {' '.join(str(error).split())}"
+            raise ConfigurationError(message, hint=hint, link=self._address) from error
+
     def _connection_lost(self) -> LinkLost:
         hint = "start the study again; the same seed gives the same numbers"
         return LinkLost("the connection to the Dask scheduler was lost during the work", hint=hint, link=self._address)
 
 
-class _WorkerTimeout:
-    """Time for which the scheduler has had no workers; `update` must be called every POLL_S seconds."""
+def local_software() -> dict[str, str]:
+    """Return the versions of all software that affects the numbers of a study."""
+    names = ("volcal", "numpy", "scipy")
+    return {"Python": ".".join(platform.python_version_tuple()[:2]), **{name: version(name) for name in names}}
 
-    def __init__(self, address: str) -> None:
-        self._address = address
-        self._seconds = 0.0
 
-    def update(self, has_workers: bool) -> None:
-        """Update the time. Raises LinkTimeout after FIRST_WORKER_S seconds without workers."""
-        self._seconds = 0.0 if has_workers else self._seconds + POLL_S
-        if self._seconds > FIRST_WORKER_S:
-            hint = "check that the workers have the same volcal[cluster] and enough memory"
-            raise LinkTimeout("the Dask scheduler has no workers left", hint=hint, link=self._address)
+def run_chunk_on_cluster(task: bytes, software: Mapping[str, str], first: int, items: Sequence[Any]) -> list[Any]:
+    """Return the results of `run_chunk`, computed on a computer of the cluster.
+
+    `software` contains the software versions of the computer that submitted the items. Raises ConfigurationError if the
+    versions on this computer differ.
+    """
+    here = local_software()
+    for name, wanted in software.items():
+        if here[name] != wanted:
+            raise ConfigurationError(
+                f"a worker of the cluster has {name} {here[name]}, this computer {wanted}",
+                hint="results would depend on the computer: install the same versions everywhere",
+            )
+    return run_chunk(task, first, items)
 
 
 def _check_greeting(address: str) -> None:

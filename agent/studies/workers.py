@@ -12,17 +12,18 @@ import pickle
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, Executor, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from typing import Protocol, Self, TypeVar
+from functools import partial
+from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from agent.errors import RunError
-from agent.studies.chunks import Chunk, run_chunk, split_into_chunks
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, InputError, VolcalError
+from twin.errors import TwinError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -30,8 +31,15 @@ Result = TypeVar("Result")
 OnItemsDone = Callable[[int], None]
 """Callback with the number of items done."""
 
+RunItems = Callable[[int, Sequence[Item]], list[Result]]
+"""Computation of the results of consecutive items, from the number of the first of them on."""
+
 END_S = 5.0
 """Time to wait for a terminated process, in s."""
+
+_MAX_NAME_LENGTH = 60
+_CHUNKS_PER_WORKER = 8  # enough that all workers finish at about the same time
+_MAX_ITEMS = 32  # items of a chunk, so that progress is visible; sending a task of 100 kB costs less than one item
 
 
 class Workers(Protocol):
@@ -57,6 +65,52 @@ def local_cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
+def run_chunk(task: bytes, first: int, items: Sequence[Any]) -> list[Any]:
+    """Return the results of a pickled task for consecutive items, of which the first has the number `first`. Raises
+    VolcalError with the name of the item if the task fails for an item.
+
+    Linear algebra in this process is limited to one thread, because the result of a sum computed by several threads
+    depends on the number of threads.
+    """
+    function = pickle.loads(task)  # noqa: S301  pickled by the process that started this work
+    threadpool_limits(limits=1)  # after unpickling, since it affects only libraries that are already loaded
+    results = []
+    for number, item in enumerate(items, start=first):
+        try:
+            results.append(function(item))
+        except Exception as error:
+            raise _as_volcal_error(error, _item_name(number, item)) from error
+    return results
+
+
+def in_chunks(
+    executor: Executor,
+    workers: int,
+    run: RunItems[Item, Result],
+    items: Sequence[Item],
+    done: OnItemsDone,
+    waited: Callable[[], None] | None = None,
+    poll_s: float | None = None,
+) -> list[Result]:
+    """Return the results of `run` for all items, in their order. The executor runs it for chunks of items that keep
+    all its `workers` busy; the last chunk may be shorter.
+
+    `done` is called as results arrive, and `waited` each time that none has arrived for `poll_s` seconds.
+    """
+    size = max(1, min(_MAX_ITEMS, -(-len(items) // (_CHUNKS_PER_WORKER * workers))))
+    with _without_interrupt():
+        futures = [executor.submit(run, first, items[first : first + size]) for first in range(0, len(items), size)]
+    pending, finished = set(futures), 0
+    while pending:
+        ready, pending = wait(pending, poll_s, FIRST_COMPLETED)
+        if ready:
+            finished += sum(len(future.result()) for future in ready)
+            done(finished)
+        elif waited is not None:
+            waited()
+    return [result for future in futures for result in future.result()]
+
+
 class LocalWorkers:
     """Worker processes on this computer. They are started at first use and stopped at the end of the `with` block. If
     there is only one worker or only one item, no process is started, and the task runs in the calling process.
@@ -80,12 +134,12 @@ class LocalWorkers:
             self._pool = None
 
     def map(self, task: Callable[[Item], Result], items: Sequence[Item], done: OnItemsDone) -> list[Result]:
-        pickled = pickle.dumps(task)
+        # Pickled for this process too, because unpickling may change the memory layout of an array.
+        run = partial(run_chunk, pickle.dumps(task))
         if self.processes == 1 or len(items) < 2:
-            return _run_in_process(pickled, items, done)
-        chunks = split_into_chunks(items, self.processes)
+            return _run_in_process(run, items, done)
         try:
-            return self._in_processes(pickled, chunks, done)
+            return in_chunks(self._started(), self.processes, run, items, done)
         except BrokenProcessPool:
             self._stop()
             hint = "if memory was short, use fewer --workers"
@@ -93,21 +147,6 @@ class LocalWorkers:
         except BaseException:
             self._stop()
             raise
-
-    def _in_processes(self, task: bytes, chunks: Sequence[Chunk[Item]], done: OnItemsDone) -> list[Result]:
-        pool = self._started()
-        with _without_interrupt():
-            futures: dict[Future[list[Result]], int] = {
-                pool.submit(run_chunk, task, chunk): number for number, chunk in enumerate(chunks)
-            }
-        found: list[list[Result]] = [[] for _ in chunks]
-        finished = 0
-        for future in as_completed(futures):
-            number = futures[future]
-            found[number] = future.result()
-            finished += len(found[number])
-            done(finished)
-        return [result for results in found for result in results]
 
     def _started(self) -> ProcessPoolExecutor:
         if self._pool is None:
@@ -132,13 +171,11 @@ class LocalWorkers:
         self._pool = None
 
 
-def _run_in_process(task: bytes, items: Sequence[Item], done: OnItemsDone) -> list[Result]:
-    """Compute the results in this process. The task is pickled and unpickled as it is for other processes, because
-    unpickling may change the memory layout of an array."""
+def _run_in_process(run: RunItems[Item, Result], items: Sequence[Item], done: OnItemsDone) -> list[Result]:
     found: list[Result] = []
     with threadpool_limits(limits=1):
-        for number, item in enumerate(items):
-            found += run_chunk(task, Chunk(number, [item]))
+        for number in range(len(items)):
+            found += run(number, items[number : number + 1])
             done(len(found))
     return found
 
@@ -164,3 +201,16 @@ def _end_with_parent() -> None:
 def _exit_after(wait: Callable[[], None]) -> None:
     wait()
     os._exit(1)
+
+
+def _as_volcal_error(error: Exception, item: str) -> VolcalError:
+    if isinstance(error, VolcalError):
+        return error.at(item=item)
+    if isinstance(error, TwinError):
+        return InputError(error.message, hint=error.hint, **error.where).at(item=item)
+    return VolcalError(f"the computation failed: {type(error).__name__}: {error}", item=item)
+
+
+def _item_name(number: int, item: object) -> str:
+    text = repr(item)
+    return str(number) if text == str(number) or len(text) > _MAX_NAME_LENGTH else f"{number}: {text}"

@@ -14,7 +14,7 @@ import numpy as np
 from agent.planning.case_file import CASE_STUDY, SHIPPED_CONFIGURATION
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
-from agent.results.estimation import estimate_with_table
+from agent.results.estimation import estimate_for_job
 from agent.results.table_image import image_of
 from agent.settings.load import load_settings
 from drivers.roles import TableImage
@@ -89,11 +89,7 @@ def full_calibration_vce_um(season: Season, night: int) -> float:
     reached = []
     for number in range(DRAWS):
         observations = simulated_observations(world, job, np.random.default_rng([season.seed, night, number]))
-        settings = job.settings
-        order = settings.identification.order
-        result = estimate_with_table(
-            job.machine, job.artefact, settings.tool, observations, Options(), settings.table, order
-        )
+        result = estimate_for_job(job, observations, Options())
         reached.append(true_vce_with_table(world, image_of(result.table, world.controller.store_limits)))
     return float(np.mean(reached))
 

@@ -41,7 +41,7 @@ from agent.execution.journal_reader import open_journal
 from agent.planning.case_file import CASE_STUDY, SHIPPED_CONFIGURATION
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
-from agent.results.estimation import estimate_with_table, identification_options
+from agent.results.estimation import estimate_for_job, identification_options
 from agent.results.table_image import image_of
 from agent.runs.kinds.calibrate import FullCalibration
 from agent.runs.run_context import RunHooks
@@ -126,11 +126,16 @@ def compare_runs(seed: int) -> tuple[WarmingRow, WarmingTrace]:
         ratio=true_um / settled.true_um,
         undrifted=undrifted,
         untold=_vce_without_drift(warm, told=False),
-        predicted_constant=still.ended.outcome.predicted_vce_um or np.nan,
-        predicted_settled=settled.ended.outcome.predicted_vce_um or np.nan,
-        predicted_warm=warm.ended.outcome.predicted_vce_um or np.nan,
+        predicted_constant=_predicted_um(still),
+        predicted_settled=_predicted_um(settled),
+        predicted_warm=_predicted_um(warm),
     )
     return row, WarmingTrace(tuple(r["instant_s"] / 60.0 for r in records), tuple(machine), tuple(artefact))
+
+
+def _predicted_um(run: WarmingRun) -> float:
+    estimation = run.ended.outcome.estimation
+    return np.nan if estimation is None else estimation.volumetric.after_aligned.value_um
 
 
 def run_calibration(seed: int, temperatures: ThermalSettings) -> WarmingRun:
@@ -196,8 +201,7 @@ def _vce_without_drift(run: WarmingRun, *, told: bool) -> float:
         tool_offsets=job.tool_offset_mm.reshape(1, 3),
     )
     options = identification_options(settings.identification, settings.temperature, None)
-    order = settings.identification.order
-    result = estimate_with_table(job.machine, job.artefact, settings.tool, observations, options, settings.table, order)
+    result = estimate_for_job(job, observations, options)
     return true_vce_with_table(run.world, image_of(result.table, run.world.controller.store_limits))
 
 

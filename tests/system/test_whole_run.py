@@ -99,8 +99,10 @@ def test_a_night_is_accepted_and_its_table_is_active(nights: TwoNights) -> None:
     before, after, _ = nights.true_ve_um
     assert before > 11.0
     assert after < 3.9
-    assert outcome.predicted_vce_limits_um is not None
-    assert outcome.predicted_vce_limits_um[0] < after < outcome.predicted_vce_limits_um[1]
+    assert outcome.estimation is not None
+    limits_um = outcome.estimation.volumetric.after_aligned.limits_um
+    assert limits_um is not None
+    assert limits_um[0] < after < limits_um[1]
     assert nights.night.world is not None
     assert nights.night.world.collisions == []
 

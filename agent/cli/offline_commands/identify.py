@@ -186,9 +186,9 @@ def _show(result: IdentificationResult, config: Path | None, seconds: float) -> 
     for name, text in travel_rows(estimation.travel):
         console.print(f"{name}: {text}")
     console.print(f"Legendre order {order_text(estimate)}")
-    console.print(result.thermometer.text, markup=False)
-    if result.thermometer.warning is not None:
-        console.print(f"note: {result.thermometer.warning}", style="yellow", markup=False)
+    console.print(estimation.thermometer.text, markup=False)
+    if estimation.thermometer.warning is not None:
+        console.print(f"note: {estimation.thermometer.warning}", style="yellow", markup=False)
     if result.failed and result.has_table:
         console.print(f"note: the table was written although {reasons(result.gates)}", style="yellow")
     console.print(f"report: {result.report}", markup=False)

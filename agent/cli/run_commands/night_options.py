@@ -58,7 +58,7 @@ def run_night(config: Path, request: RunRequest, nights: float | None, *, as_jso
     else:
         if ended.outcome.night is not None:
             results_console().print(night_table(ended.outcome, ended.outcome.night))
-        if ended.outcome.predicted_vce_um is not None:
+        if ended.outcome.estimation is not None:
             show_summary(ended.outcome)
     return ended
 

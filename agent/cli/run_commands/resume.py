@@ -74,7 +74,7 @@ def _show_and_exit(ended: RunResult, *, as_json: bool) -> None:
             results_console().print(night_table(outcome, outcome.night))
         if outcome.trial is not None:
             show_trial(outcome, outcome.trial)
-        if outcome.kind == "calibrate" or outcome.predicted_vce_um is not None:
+        if outcome.kind == "calibrate" or outcome.estimation is not None:
             show_summary(outcome)
     if ended.error is not None:
         raise fail(ended.error)

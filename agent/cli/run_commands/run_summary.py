@@ -23,13 +23,15 @@ def _rows(outcome: Outcome) -> list[tuple[str, str]]:
         ("measured", f"{outcome.balls} balls, {outcome.touches} touches"),
         ("machine time", f"{outcome.machine_minutes:.1f} min (predicted {_number(outcome.predicted_minutes)})"),
     ]
-    if outcome.estimated_ve_um is not None:
-        rows.append(("VE before, estimated", f"{outcome.estimated_ve_um:.2f} µm (aligned)"))
-        rows.append(("VCE predicted", f"{_number(outcome.predicted_vce_um)} µm (aligned)"))
-        if outcome.thermometer is not None:
-            rows.append(("temperature", outcome.thermometer.short_text))
-        rows += travel_rows(outcome.travel)
-        rows.append(("rank", f"{outcome.rank} of {outcome.parameters} parameters"))
+    if outcome.estimation is not None:
+        estimation, estimate = outcome.estimation, outcome.estimation.estimate
+        rows += [
+            ("VE before, estimated", f"{estimation.volumetric.before_aligned.value_um:.2f} µm (aligned)"),
+            ("VCE predicted", f"{estimation.volumetric.after_aligned.value_um:.2f} µm (aligned)"),
+            ("temperature", estimation.thermometer.short_text),
+            *travel_rows(estimation.travel),
+            ("rank", f"{estimate.rank} of {estimate.model.size} parameters"),
+        ]
     if outcome.proof is not None:
         proof = outcome.proof
         text = f"{proof.before_um:.2f} → {proof.after_um:.2f} µm, predicted {proof.predicted_um:.2f} µm"

@@ -195,21 +195,24 @@ def _figures(ended: RunResult, truth: Truth) -> list[dict[str, object]]:
     The error after compensation is compared only if the new table passed its proof and is active.
     """
     outcome = ended.outcome
+    if outcome.estimation is None:
+        return []
     proved = outcome.proof is not None and outcome.proof.accepted
+    volumetric = outcome.estimation.volumetric
     figures = (
-        ("ve_before", truth.before_um, outcome.estimated_ve_um, outcome.estimated_ve_limits_um),
-        ("vce_after", truth.after_um if proved else None, outcome.predicted_vce_um, outcome.predicted_vce_limits_um),
+        ("ve_before", truth.before_um, volumetric.before_aligned),
+        ("vce_after", truth.after_um if proved else None, volumetric.after_aligned),
     )
     return [
         {
             "figure": name,
             "true_um": true_um,
-            "stated_um": stated_um,
-            "limits_um": list(limits_um),
-            "inside": limits_um[0] <= true_um <= limits_um[1],
+            "stated_um": stated.value_um,
+            "limits_um": list(stated.limits_um),
+            "inside": stated.limits_um[0] <= true_um <= stated.limits_um[1],
         }
-        for name, true_um, stated_um, limits_um in figures
-        if true_um is not None and limits_um is not None
+        for name, true_um, stated in figures
+        if true_um is not None and stated.limits_um is not None
     ]
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from agent.errors import GateRefused, MeasurementFault
 from agent.execution.journal import RunJournal
 from agent.execution.states import RunState
-from agent.execution.steps import AskOperator, Conclude, Enter, Fork, Plan, RunPlan
+from agent.execution.steps import AskOperator, Conclude, Enter, Fork, Plan, RunPlan, known
 from agent.files import translated
 from agent.planning.job import Job
 from agent.planning.stand_ins import STAND_IN_TABLE, USUAL_STORE
@@ -26,7 +26,6 @@ from agent.results.estimation import (
     estimate_from_balls,
     estimate_text,
     provenance,
-    thermometer_facts,
 )
 from agent.results.gates import (
     CHANGE,
@@ -176,8 +175,7 @@ def estimated(
     """Make and journal the estimate that `estimate` returns; `balls` returns the balls from which it is made."""
 
     def record(journal: RunJournal, estimation: EstimationResult) -> None:
-        thermometer = thermometer_facts(estimation, job.settings.temperature)
-        record_identified(journal, balls(), estimation, thermometer)
+        record_identified(journal, balls(), estimation)
         journal.estimate(estimate_text(estimation, provenance(job, journal.run_id)))
 
     estimation: EstimationResult = yield Conclude("identify/estimate", estimate, None, record)
@@ -292,14 +290,13 @@ def written(
     yield from publish.stage_table(bank, image)
     yield from record_table("staged", bank, image)
     yield Enter("state/activating", RunState.ACTIVATING)
-    in_use = BankInUse(bank)
-    yield Conclude("publish/bank", lambda: in_use, in_use)
+    yield known("publish/bank", BankInUse(bank))
     try:
         yield from publish.activate("activate", bank, limits.activation)
     except NotActiveYet as error:
         # Not a failure: the run is resumed once the controller has done its part.
         waiting = error
-        yield Conclude("publish/waits", lambda: waiting)
+        yield known("publish/waits", waiting)
         yield Enter("state/written", RunState.WRITTEN, lambda: str(waiting))
         return None
     yield Enter("state/verifying", RunState.VERIFYING)
@@ -348,7 +345,7 @@ def _accepted(job: Job, estimation: EstimationResult, image: TableImage, proof: 
     def record(journal: RunJournal, _: object) -> None:
         record_accepted(journal, AcceptedTable.of(job, estimation.estimate.parameters, image))
 
-    yield Conclude("prove/accepted", lambda: None, None, record)
+    yield known("prove/accepted", None, record)
     yield from complete(lambda: proof().reason)
     return None
 

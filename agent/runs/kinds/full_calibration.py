@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from agent.errors import GateRefused, PlanRefused
 from agent.execution.journal import RunJournal
 from agent.execution.states import RunState
-from agent.execution.steps import Conclude, Enter, Plan, RunPlan
+from agent.execution.steps import Conclude, Enter, Plan, RunPlan, known
 from agent.planning.job import Job
 from agent.probing.publish import ActiveCompensation
 from agent.probing.run_plan import MEASURED, note_measured
@@ -105,7 +105,7 @@ def calibrated_in_full(
     The operator is not asked for consent to a table for the changed machine, because the permission for a full
     calibration includes this consent.
     """
-    yield Conclude("night/job", lambda: job, job)
+    yield known("night/job", job)
     yield Conclude("night/full", report)
     task = CalibrationTask(job, store, judge.reference, judge.nights, Consent.GIVEN, changed=True)
     return (yield from calibrated(task, replace(ready, job=job), station, lambda proof: _note_restored(report, proof)))

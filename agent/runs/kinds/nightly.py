@@ -14,14 +14,14 @@ from functools import partial
 from agent.errors import MeasurementFault
 from agent.execution.journal import RunJournal
 from agent.execution.states import RunState
-from agent.execution.steps import Conclude, Enter, Fork, Plan, Point, ProvePlan, RunPlan
+from agent.execution.steps import Conclude, Enter, Fork, Plan, Point, ProvePlan, RunPlan, known
 from agent.files import translated
 from agent.planning.job import Job
 from agent.planning.preflight import PreflightResult, run_preflight
 from agent.probing.publish import ActiveCompensation
 from agent.probing.repeated_positions import join_measured
 from agent.probing.run_plan import MEASURED, MeasuredPositions, measure_positions, note_measured
-from agent.results.estimation import EstimationResult, estimate_with_table
+from agent.results.estimation import EstimationResult, estimate_for_job
 from agent.results.gates import Gate, change_gate, estimate_gates, shape_gates
 from agent.results.observations import balls_for_estimate, observations_of, positions_named
 from agent.results.run_outcome import Decision, NightReport, Proof
@@ -291,7 +291,7 @@ def _diagnosed(running: _Night, measured: MeasuredPositions, judgement: Callable
     if chosen:
         own = replace(running.job, positions=(*running.job.positions, *chosen))
         running = replace(running, task=replace(task, job=own))
-        yield Conclude("night/job", lambda: own, own)
+        yield known("night/job", own)
         measured = yield from running.measure(DIAGNOSIS, chosen, measured)
         again = yield from running.judged("night/diagnosis", measured)
         report = partial(_again, lambda: again, judgement)
@@ -379,11 +379,8 @@ def _fuse(running: _Night, measured: MeasuredPositions) -> _Fused:
         options = replace(thermal_options(chosen.temperature, drift), carried_over=judge.prior)
         fit = fit_of_night(job, judge.reference, judge.nights, observations, options)
         options = replace(options, carried_over=fit.prior)
-        order = chosen.identification.order
         with positions_named(balls):
-            estimation = estimate_with_table(
-                job.machine, job.artefact, chosen.tool, observations, options, chosen.table, order
-            )
+            estimation = estimate_for_job(job, observations, options)
     return _Fused(estimation, fit)
 
 
@@ -410,7 +407,7 @@ def _kept(running: _Night, gates: Callable[[], Sequence[Gate]], report: Callable
     """Accept the fused estimate; the active table stays."""
     yield from checked_gates(gates)
     table = running.task.judge.reference.table
-    yield Conclude("night/kept", lambda: None, None, lambda journal, _: record_accepted(journal, table))
+    yield known("night/kept", None, lambda journal, _: record_accepted(journal, table))
     return (yield from _ended(lambda: replace(report(), decision=Decision.FUSED)))
 
 

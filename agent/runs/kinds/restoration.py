@@ -12,7 +12,7 @@ from agent.execution.encoding import table_digest
 from agent.execution.journal_reader import open_journal
 from agent.execution.journal_schema import FILE_NAME
 from agent.execution.states import RunState
-from agent.execution.steps import Conclude, Enter, Fork, RunPlan
+from agent.execution.steps import Enter, Fork, RunPlan, known
 from agent.planning.job import Job
 from agent.probing import publish
 from agent.probing.publish import ActiveCompensation
@@ -75,8 +75,7 @@ def _written_again(
     if image is not None:
         yield from publish.stage_table(bank, image)
     yield from record_table("staged", bank, image)
-    in_use = BankInUse(bank)
-    yield Conclude("restore-table/bank", lambda: in_use, in_use)
+    yield known("restore-table/bank", BankInUse(bank))
     late = ""
     try:
         yield from publish.activate("restore-table", bank, limits.activation)
@@ -84,9 +83,7 @@ def _written_again(
         late = f". {waits.message}. {waits.hint}"
     crc32 = None if image is None else table_digest(image)
     record = {"of_run": asked.run_id, "role": asked.role, "bank": bank, "crc32": crc32}
-    yield Conclude(
-        "restore-table/done", lambda: None, None, lambda journal, _: journal.decision(TABLE_RESTORED, record)
-    )
+    yield known("restore-table/done", None, lambda journal, _: journal.decision(TABLE_RESTORED, record))
     yield from complete(lambda: f"bank {bank} holds the {asked.role} table of run {asked.run_id}{late}")
     return None
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from agent.execution.journal import RunJournal
 from agent.execution.states import RunState
-from agent.execution.steps import Conclude, Enter, Plan, RunPlan
+from agent.execution.steps import Conclude, Enter, Plan, RunPlan, known
 from agent.planning.job import Job
 from agent.probing import publish
 from agent.probing.position import PositionRules
@@ -44,26 +44,26 @@ def found_compensation() -> Plan[ActiveCompensation]:
     """Read, journal and return the active compensation before anything moves."""
     yield Enter("state/measuring", RunState.MEASURING)
     found = yield from publish.read_state("before")
-    yield Conclude("before/found", lambda: found, found, lambda journal, _: _record(journal, "backup", found))
+    yield known("before/found", found, lambda journal, _: _record(journal, "backup", found))
     return found
 
 
 def prepared_run(job: Job, found: ActiveCompensation) -> Plan[PreparedRun]:
     """Check and qualify the probe. The result is valid for all later measurements of the run."""
     prepared = yield from job.preparation_plan()
-    yield Conclude("probe/prepared", lambda: prepared, prepared, record_probe)
+    yield known("probe/prepared", prepared, record_probe)
     return PreparedRun(job, found, prepared)
 
 
 def restored(found: ActiveCompensation, activation: Activation) -> Plan[None]:
     """Reactivate the compensation that was found at the start of the run."""
     yield from publish.restore(found.bank, after_fault=False, activation=activation)
-    yield Conclude("restore/found", lambda: found, found, lambda journal, _: _record(journal, "restored", found))
+    yield known("restore/found", found, lambda journal, _: _record(journal, "restored", found))
 
 
 def record_table(role: str, bank: int, image: TableImage | None) -> Plan[None]:
     """Store a compensation table in the journal with the role `role`."""
-    yield Conclude(f"{role}/{bank}", lambda: None, None, lambda journal, _: journal.table(role, bank, image))
+    yield known(f"{role}/{bank}", None, lambda journal, _: journal.table(role, bank, image))
 
 
 def complete(text: Callable[[], str]) -> Plan[None]:

@@ -9,12 +9,13 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import dask
 import numpy as np
 import pytest
 import study_tasks
-from distributed import LocalCluster
+from distributed import Client, LocalCluster
 
 from agent.errors import RunError
 from agent.studies import cluster
@@ -74,6 +75,11 @@ class TestNumbers:
 
 
 class TestBadEnds:
+    def test_other_software_is_refused_before_anything_is_computed(self) -> None:
+        other = {**cluster.local_software(), "numpy": "1.0"}
+        with pytest.raises(ConfigurationError, match=r"numpy [\d.]+, this computer 1\.0"):
+            cluster.run_chunk_on_cluster(b"never read", other, 0, [1])
+
     def test_a_failing_item_is_named_and_the_workers_go_on(self, address: str) -> None:
         with DaskWorkers(address) as workers:
             with pytest.raises(VolcalError, match=r"ZeroDivisionError: .* \(item 5\)") as failed:
@@ -120,19 +126,16 @@ class TestBadEnds:
         self, address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         killed: list[int] = []
+        gather = Client._gather
 
-        def ready_then_orphaned(
-            self: DaskWorkers, pending: set[cluster.Work]
-        ) -> tuple[set[cluster.Work], set[cluster.Work]]:
-            """Report a result as ready, then kill its worker before the result is fetched."""
-            ready, rest = waited(self, pending)
-            if ready and not killed:
+        async def gathered_from_the_dead(self: Client, *arguments: Any, **options: Any) -> Any:
+            """Kill the worker that holds a finished result before the result is fetched."""
+            if not killed:
                 killed.append(int((tmp_path / "first").read_text()))
                 os.kill(killed[0], signal.SIGKILL)
-            return ready, rest
+            return await gather(self, *arguments, **options)
 
-        waited = DaskWorkers._next
-        monkeypatch.setattr(DaskWorkers, "_next", ready_then_orphaned)
+        monkeypatch.setattr(Client, "_gather", gathered_from_the_dead)
         monkeypatch.setattr(cluster, "POLL_S", 0.1)
         with DaskWorkers(address) as workers:
             assert workers.map(study_tasks.SlowAgain(str(tmp_path)), range(1), ignore) == [0]

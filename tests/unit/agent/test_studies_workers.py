@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import multiprocessing
+import pickle
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 import study_tasks
 from hypothesis import given
 from hypothesis import strategies as st
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from agent.errors import RunError
-from agent.studies.chunks import Chunk, local_software, run_chunk_on_cluster, split_into_chunks
-from agent.studies.workers import LocalWorkers, generator
+from agent.studies.workers import LocalWorkers, generator, in_chunks, run_chunk
 from drivers.errors import ConfigurationError, InputError, VolcalError
 
 
@@ -29,20 +32,22 @@ def sums() -> study_tasks.Sums:
 class TestChunks:
     @given(st.integers(0, 3000), st.integers(1, 80))
     def test_they_hold_every_item_once_and_in_order(self, count: int, workers: int) -> None:
-        chunks = split_into_chunks(range(count), workers)
-        assert [item for chunk in chunks for item in chunk.items] == list(range(count))
-        assert [chunk.first for chunk in chunks] == [chunk.items[0] for chunk in chunks]
-        assert all(len(chunk.items) <= 32 for chunk in chunks)
-        assert len({len(chunk.items) for chunk in chunks[:-1]}) <= 1
+        chunks: list[tuple[int, list[int]]] = []
 
-    def test_other_software_is_refused_before_anything_is_computed(self) -> None:
-        other = {**local_software(), "numpy": "1.0"}
-        with pytest.raises(ConfigurationError, match=r"numpy [\d.]+, this computer 1\.0"):
-            run_chunk_on_cluster(b"never read", Chunk(0, [1]), other)
+        def run(first: int, items: Sequence[int]) -> list[int]:
+            chunks.append((first, list(items)))
+            return list(items)
+
+        with ThreadPoolExecutor(1) as executor:
+            assert in_chunks(executor, workers, run, range(count), ignore) == list(range(count))
+        assert [item for _, items in chunks for item in items] == list(range(count))
+        assert [first for first, _ in chunks] == [items[0] for _, items in chunks]
+        assert all(len(items) <= 32 for _, items in chunks)
+        assert len({len(items) for _, items in chunks[:-1]}) <= 1
 
     def test_a_failing_item_is_named_by_number_and_content(self) -> None:
-        with pytest.raises(VolcalError, match=r"failed: TypeError: .*\(item 7: 'S3'\)"):
-            Chunk(7, ["S3"]).run(abs)  # type: ignore[arg-type]
+        with pytest.raises(VolcalError, match=r"failed: TypeError: .*\(item 7: 'S3'\)"), threadpool_limits(limits=1):
+            run_chunk(pickle.dumps(abs), 7, ["S3"])
 
 
 class TestGenerators:

@@ -39,7 +39,6 @@ def test_a_part_without_points_has_no_row() -> None:
     rows = travel_rows(TravelParts(PART, None))
     assert [name for name, _ in rows] == ["VE → VCE where measured"]
     assert rows[0][1] == "7.90 → 1.70 µm (95 %: 1.20 to 2.40), 60 % of the travel"
-    assert travel_rows(None) == []
 
 
 def test_both_parts_add_up_to_the_whole_travel() -> None:
