@@ -39,8 +39,8 @@ COMPONENTS = ROOT / "drivers" / "linuxcnc" / "components"
 VOLCAL = Path(sys.executable).parent / "volcal"
 RUN_TIMEOUT_S = 3600.0
 POINTS = 20
-ANSWER_WITHIN_S = 20.0
-"""Time allowed for an answer in s; the computer may be busy with other programs."""
+ANSWER_WITHIN_S = 60.0
+"""Time allowed for an answer in s, the longest that the driver accepts; the computer may be busy."""
 MOTORS = tuple(f"joint.{number}.motor-pos-cmd" for number in range(3))
 EXIT_NOT_RUN = 77
 

@@ -52,7 +52,7 @@ class BridgeLink:
         device: str,
     ) -> None:
         self._command = [*command, str(BRIDGE)]
-        self._within_s = response_timeout_s
+        self.response_timeout_s = response_timeout_s
         self._hello = {"watch_s": watchdog_timeout_s, "heartbeat_s": heartbeat_timeout_s}
         self.where = {"device": device, "link": "linuxcnc bridge"}
         self._bridge: _Bridge | None = None
@@ -193,7 +193,7 @@ class BridgeLink:
 
     def _answer(self, number: int) -> Answer:
         """Return the answer to request `number`; late answers to earlier requests are discarded."""
-        ends_s = wall_seconds() + self._within_s
+        ends_s = wall_seconds() + self.response_timeout_s
         while True:
             answer = self._parse(self._line(ends_s))
             self._unresponsive = False
@@ -211,7 +211,9 @@ class BridgeLink:
                 left_s = ends_s - wall_seconds()
                 if left_s <= 0.0 or not readable.select(left_s):
                     self._unresponsive = True
-                    raise LinkTimeout(f"no answer within {self._within_s:g} s", hint="check LinuxCNC", **self.where)
+                    raise LinkTimeout(
+                        f"no answer within {self.response_timeout_s:g} s", hint="check LinuxCNC", **self.where
+                    )
                 chunk = os.read(bridge.process.stdout.fileno(), 65536)
                 if not chunk:
                     raise self._ended()

@@ -6,6 +6,7 @@ driver's bridge.
 
 import ctypes
 import json
+import signal
 import subprocess
 import sys
 import time
@@ -14,6 +15,7 @@ from pathlib import Path
 import hal
 import linuxcnc
 
+PATIENCE_S = 600.0
 SHARED_KEY = 0x564F4C31
 SLOT_BYTES = 3 * 4 + 3 * 4 + 8 * 8 + 262144 * 12
 COUNTS_AT = 24 + 3 * 4 + 3 * 4 + 8 * 8
@@ -21,7 +23,8 @@ COUNTS_AT = 24 + 3 * 4 + 3 * 4 + 8 * 8
 
 def connected():
     """Connect to LinuxCNC once its task answers."""
-    for _ in range(400):
+    end_s = time.monotonic() + PATIENCE_S
+    while time.monotonic() < end_s:
         try:
             status = linuxcnc.stat()
             status.poll()
@@ -44,9 +47,10 @@ class Inside:
         hal.set_p(name, str(int(value)) if isinstance(value, bool) else repr(value))
 
     def wait(self, *names_and_values):
-        """Wait up to 5 s until every pin has its value; return True if all have."""
+        """Wait until every pin has its value; return True if all have."""
         pairs = list(zip(names_and_values[::2], names_and_values[1::2], strict=True))
-        for _ in range(2500):
+        end_s = time.monotonic() + PATIENCE_S
+        while time.monotonic() < end_s:
             if all(hal.get_value(name) == value for name, value in pairs):
                 return True
             time.sleep(0.002)
@@ -54,43 +58,43 @@ class Inside:
 
     def on(self):
         self.command.state(linuxcnc.STATE_ESTOP_RESET)
-        self.command.wait_complete(2.0)
+        self.command.wait_complete(PATIENCE_S)
         self.command.state(linuxcnc.STATE_ON)
-        self.command.wait_complete(2.0)
+        self.command.wait_complete(PATIENCE_S)
         self.status.poll()
         return self.status.task_state == linuxcnc.STATE_ON
 
     def off(self):
         self.command.state(linuxcnc.STATE_OFF)
-        self.command.wait_complete(2.0)
+        self.command.wait_complete(PATIENCE_S)
 
     def estop(self):
         self.command.state(linuxcnc.STATE_ESTOP)
-        self.command.wait_complete(2.0)
+        self.command.wait_complete(PATIENCE_S)
 
     def home(self):
         self.command.mode(linuxcnc.MODE_MANUAL)
-        self.command.wait_complete(2.0)
+        self.command.wait_complete(PATIENCE_S)
         self.command.teleop_enable(0)
-        self.command.wait_complete(2.0)
+        self.command.wait_complete(PATIENCE_S)
         self.command.home(-1)
         homed = self.wait("motion.is-all-homed", True)
         self.command.mode(linuxcnc.MODE_MDI)
-        self.command.wait_complete(2.0)
+        self.command.wait_complete(PATIENCE_S)
         return homed
 
-    def mdi(self, text, within_s=20.0):
+    def mdi(self, text, within_s=PATIENCE_S):
         self.start(text)
         return self.command.wait_complete(within_s) == linuxcnc.RCS_DONE
 
     def start(self, text):
         self.command.mode(linuxcnc.MODE_MDI)
-        self.command.wait_complete(2.0)
+        self.command.wait_complete(PATIENCE_S)
         self.command.mdi(text)
 
     def abort(self):
         self.command.abort()
-        self.command.wait_complete(2.0)
+        self.command.wait_complete(PATIENCE_S)
 
     def gcodes(self):
         self.status.poll()
@@ -101,9 +105,9 @@ class Inside:
 
     def joint_mode(self, yes):
         self.command.mode(linuxcnc.MODE_MANUAL)
-        self.command.wait_complete(2.0)
+        self.command.wait_complete(PATIENCE_S)
         self.command.teleop_enable(0 if yes else 1)
-        self.command.wait_complete(2.0)
+        self.command.wait_complete(PATIENCE_S)
 
     def jog(self, joint_mode, axis, speed, distance):
         self.command.jog(linuxcnc.JOG_INCREMENT, joint_mode, axis, speed, distance)
@@ -122,20 +126,22 @@ class Inside:
         completed = subprocess.run(list(words), capture_output=True, text=True, check=False)
         return [completed.returncode, completed.stdout + completed.stderr]
 
-    def start_sampling(self, count, path):
-        """Sample `count` servo periods from now into `path`, one row per period."""
+    def start_sampling(self, path):
+        """Sample every servo period from now on into `path`, one row per period."""
         hal.set_p("sampler.0.enable", "0")
         stale = hal.get_value("sampler.0.curr-depth")
         if stale:
-            subprocess.run(["halsampler", "-n", str(stale)], stdout=subprocess.DEVNULL, timeout=10.0, check=True)
+            subprocess.run(["halsampler", "-n", str(stale)], stdout=subprocess.DEVNULL, timeout=PATIENCE_S, check=True)
         hal.set_p("sampler.0.enable", "1")
         with Path(path).open("w") as file:
-            self.sampling = subprocess.Popen(["halsampler", "-n", str(count)], stdout=file)
+            self.sampling = subprocess.Popen(["halsampler"], stdout=file)
 
     def finish_sampling(self):
-        code = self.sampling.wait(30.0)
         hal.set_p("sampler.0.enable", "0")
-        return code
+        taken = self.wait("sampler.0.curr-depth", 0)
+        self.sampling.send_signal(signal.SIGINT)  # it then writes what it has taken
+        self.sampling.wait(PATIENCE_S)
+        return taken
 
     def damage_table(self, bank, node):
         """Write a wrong value to the shared memory, as a faulty driver of another device could."""

@@ -110,7 +110,7 @@ def test_path_is_a_line_after_removing_the_table(fresh: Rig) -> None:
     start, end = np.array([0.5, 199.0, 5.0]), np.array([360.0, 20.0, 140.0])
     fresh.store.activate(1)
     fresh.controller.at(*start)
-    fresh.controller.start_sampling(1300)
+    fresh.controller.start_sampling()
     assert fresh.controller("mdi", "G53 G1 F30000 X360 Y20 Z140")
     motor = fresh.controller.samples()[:, :3]
     assert np.linalg.norm(np.diff(motor, axis=0), axis=1).max() > 0.49
@@ -129,7 +129,7 @@ def off_line(points: np.ndarray, along: np.ndarray) -> float:
 def test_banks_are_switched_live_and_no_faster_than_the_jump_rate(fresh: Rig) -> None:
     fresh.controller.at(*PLACE)
     fresh.store.activate(1)
-    fresh.controller.start_sampling(1500)
+    fresh.controller.start_sampling()
     fresh.store.activate(2)
     fresh.settle()
     assert fresh.shift() == pytest.approx(expected(TWO, PLACE)[0], abs=REST_MM[fresh.way])
@@ -154,7 +154,7 @@ def test_machine_off_and_on_never_jumps_and_corrects_again(fresh: Rig, how: str)
     fresh.store.activate(1)
     fresh.settle()
     before = fresh.controller.motor()
-    fresh.controller.start_sampling(1500)
+    fresh.controller.start_sampling()
     fresh.controller(how)
     assert fresh.controller.motor() == pytest.approx(before, abs=1e-6)
     assert fresh.store.active_bank() == 1

@@ -122,7 +122,7 @@ class TestMotion:
         device.move_to(AWAY, feed_mm_per_s=None, guarded=True)
         target = AWAY + np.array([300.0, 0.0, 0.0])
         moving = threading.Thread(
-            target=device.move_to, args=(target,), kwargs={"feed_mm_per_s": 60.0, "guarded": True}
+            target=device.move_to, args=(target,), kwargs={"feed_mm_per_s": 10.0, "guarded": True}
         )
         moving.start()
         until(lambda: device.position()[0] > AWAY[0] + 10.0)
