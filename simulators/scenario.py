@@ -24,6 +24,7 @@ from twin.errors import TwinError
 from twin.formats.artefact_file import parse_artefact
 from twin.formats.machine_file import parse_machine
 from twin.formats.toml_reading import StrictModel, forbid_unknown_keys, read_toml
+from twin.immutable import Immutable
 from twin.machine.machine_description import MachineDescription
 
 Value = TypeVar("Value")
@@ -204,7 +205,7 @@ class ScenarioDocument(StrictModel):
 
 
 @dataclass(frozen=True)
-class Scenario:
+class Scenario(Immutable):
     """Scenario with the contents of the files that it names.
 
     `artefacts` holds one artefact for each station if each station has its own, and is empty otherwise.

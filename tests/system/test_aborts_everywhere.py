@@ -13,7 +13,7 @@ STEPS_WITHOUT_MACHINE = 5
 
 
 def test_the_former_table_is_active_after_every_exit() -> None:
-    command = [sys.executable, "-m", "campaigns.aborts", "--every", "200"]
+    command = [sys.executable, "-m", "campaigns.aborts", "--every", "400"]
     ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600.0, check=False)
     assert ended.stdout, ended.stderr
     result = json.loads(ended.stdout.splitlines()[-1])

@@ -16,13 +16,14 @@ import numpy as np
 from twin.arrays import Array, as_points
 from twin.artefact.artefact_body import ArtefactBody, Rod, vector
 from twin.errors import DataError
+from twin.immutable import Immutable
 from twin.units import REFERENCE_TEMPERATURE_C
 
 STEEL_CTE_PER_K = 11.5e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Artefact:
+class Artefact(Immutable):
     """Calibrated ball artefact with N balls.
 
     - `balls` (N, 3) contains the ball centres in mm at the reference temperature, without gravity sag.

@@ -20,6 +20,7 @@ from twin.artefact.mount_geometry import MountGeometry
 from twin.artefact.position_set import Pose
 from twin.collision.geometry import Box, Capsule, Shape, point, sphere
 from twin.collision.probe_frame import ProbeFrame
+from twin.immutable import Immutable
 
 TIP = "tip"
 TABLE = "table"
@@ -28,7 +29,7 @@ TABLE_SPAN_MM = 1e5
 
 
 @dataclass(frozen=True)
-class Body:
+class Body(Immutable):
     name: str
     shape: Shape
 

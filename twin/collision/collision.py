@@ -15,6 +15,7 @@ from operator import or_
 
 from twin.collision.bodies import Body
 from twin.collision.geometry import Point, separation, swept_contact
+from twin.immutable import Immutable
 
 _NOTHING: Mapping[tuple[str, str], float] = {}
 
@@ -30,7 +31,7 @@ class Hit:
     obstacle: str
 
 
-class Scene:
+class Scene(Immutable):
     """Collision scene with moving bodies, given relative to the centre of the stylus tip, among stationary bodies.
 
     A scene cannot be changed. If a stationary body moves, a new scene is needed.

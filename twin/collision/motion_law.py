@@ -15,6 +15,7 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.collision.geometry import Point
+from twin.immutable import Immutable
 
 _NO_TIME_S = 1e-300
 """Time shorter than that of any move; it replaces a zero divisor, so that the ramp of a move of zero length is 0."""
@@ -57,7 +58,7 @@ class Phase:
 
 
 @dataclass(frozen=True)
-class MotionLaw:
+class MotionLaw(Immutable):
     """Distance along a path as a function of time. The motion is at rest before the first phase and after the last
     phase.
     """

@@ -40,6 +40,7 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.errors import ModelError
+from twin.immutable import Immutable
 from twin.machine.kinematic_chain import AXES, Chain
 
 DIRECTIONS = ("X", "Y", "Z", "A", "B", "C")
@@ -68,7 +69,7 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class ErrorModel:
+class ErrorModel(Immutable):
     """Error model of a machine. The model consists of the kinematic chain, the axis ranges, the Legendre order of each
     error motion and the active terms of the cross-effect."""
 
