@@ -16,8 +16,12 @@ $(STAMP): pyproject.toml constraints.txt
 run: setup
 	$(BIN)/volcal demo
 
+# Without compiled modules each of the some hundred processes of the tests would compile them anew.
+test quick: unexport PYTHONDONTWRITEBYTECODE
+
+# One process more than cores: some tests wait for a peer in real time.
 test: setup
-	$(BIN)/python -m pytest --numprocesses auto --dist loadfile --no-loadscope-reorder --durations=20
+	$(BIN)/python -m pytest --numprocesses $$(( $$(nproc) + 1 )) --dist loadfile --no-loadscope-reorder --durations=20
 
 # What tells most in a minute: unit, contract, property and golden tests without those of tests/slow.txt, few examples of
 # each property.
