@@ -17,7 +17,7 @@ run: setup
 	$(BIN)/volcal demo
 
 # Without compiled modules each of the some hundred processes of the tests would compile them anew.
-test quick: unexport PYTHONDONTWRITEBYTECODE
+test quick: export PYTHONDONTWRITEBYTECODE :=
 
 # One process more than cores: some tests wait for a peer in real time.
 test: setup

@@ -13,15 +13,18 @@ from typing import Any, TypeVar
 import click
 
 from agent.cli.errors import reported
-from agent.cli.printing import facts_table, gates_table, results_console
-from agent.files import check_folder
-from agent.planning.new_machine.answers import SetupAnswers
+from agent.cli.invocation import will_run
 from agent.planning.new_machine.field import FieldKind, ProposalsOnly, SetupField
 from agent.planning.new_machine.fields import SETUP_FIELDS, option_texts
-from agent.planning.new_machine.spindle import spindle_name
-from agent.results.gate_forecast import require_forecast
-from agent.runs.new_machine_files import PREVIEW, NewFiles, prepare_files, refuse_existing
-from drivers.errors import InputError
+
+if will_run():
+    from agent.cli.printing import facts_table, gates_table, results_console
+    from agent.files import check_folder
+    from agent.planning.new_machine.answers import SetupAnswers
+    from agent.planning.new_machine.spindle import spindle_name
+    from agent.results.gate_forecast import require_forecast
+    from agent.runs.new_machine_files import PREVIEW, NewFiles, prepare_files, refuse_existing
+    from drivers.errors import InputError
 
 Answer = TypeVar("Answer")
 

@@ -8,7 +8,6 @@ from typing import Self
 
 from drivers.clock import RealClock
 from drivers.errors import ConfigurationError
-from drivers.registry import DeviceContext, create_device
 from drivers.roles import AxisLimits, Device, Machine
 from twin.errors import DataError
 
@@ -87,6 +86,9 @@ class ControllerSetup:
 
         Raises DeviceError if it cannot be reached, and ConfigurationError if it is no machine.
         """
+        # The list of drivers is slow to import, and the help text of the set-up needs only the kinds of controller.
+        from drivers.registry import DeviceContext, create_device  # noqa: PLC0415
+
         device = create_device(self.driver, self.connection_options(), DeviceContext("cnc", RealClock(), directory))
         try:
             device.open()
