@@ -65,7 +65,7 @@ class PositionError(DataError):
         self._text = text
 
     def renumbered(self, number: int) -> PositionError:
-        """Return the same error with another number of the position, such as that in a file."""
+        """Return the same error with the number of the position replaced, for example by its number in a file."""
         return PositionError(number, self._text, hint=self.hint, **self.where)
 
 

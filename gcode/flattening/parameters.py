@@ -27,10 +27,11 @@ class _Scope:
 
 
 class ProgramParameters:
-    """Values of the parameters.
+    """Values of the parameters while a part program is interpreted.
 
     `given` contains values that the controller has before the program, by number (`100`) or name (`_depth`).
-    `system_value` returns the value of a parameter in which the controller shows its state, or None for any other.
+    `system_value` returns the value of a parameter in which the controller shows its state, or None for any other
+    parameter.
     """
 
     def __init__(self, given: Mapping[str, float], system_value: SystemValue) -> None:

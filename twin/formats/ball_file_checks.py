@@ -68,9 +68,9 @@ def check_repeated(
 ) -> None:
     """Raise FormatError if the same measurement is given twice.
 
-    The same coordinates, to the last digit, cannot be those of two balls of a position. If they are given for several
-    balls of two positions, at least for half of the balls of one of them, they are one measurement under two position
-    numbers (`numbers`), which the identification would count twice.
+    Two balls of one position cannot have the same coordinates to the last digit. If several balls of two positions
+    (at least half of the balls of one of them) share their coordinates, one measurement is in the file under two
+    position numbers (`numbers`), and the identification would count it twice.
     """
     first_at: dict[tuple[object, ...], int] = {}
     repeated: dict[tuple[int, int], list[tuple[int, int]]] = {}

@@ -1,6 +1,6 @@
 """Variants of the ball bar that a job uses as artefact.
 
-A variant has another number of balls or another tilt of the ball holders. All other properties are those of the bar's
+A variant has a different number of balls or a different tilt of the ball holders. All other properties are those of the bar's
 calibration certificate.
 """
 

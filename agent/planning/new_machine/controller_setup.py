@@ -85,7 +85,7 @@ class ControllerSetup:
         """Connect to the controller of the machine in `directory`, and return the open device with the travel and the
         dynamics that it reports. Nothing is moved or written.
 
-        Raises DeviceError if it cannot be reached, and ConfigurationError if it is no machine.
+        Raises DeviceError if it cannot be reached, and ConfigurationError if its driver is not a machine.
         """
         device = create_device(self.driver, self.connection_options(), DeviceContext("cnc", RealClock(), directory))
         try:
