@@ -16,6 +16,8 @@ Key = int | str
 SystemValue = Callable[[Key, SourceLine], float | None]
 
 LOCAL_NUMBERS = range(1, 31)
+# Numbers above 5000 belong to the controller; 5599 is the exception that programs may set (it switches DEBUG messages
+# on and off).
 _LARGEST_FREE = 5000
 _SHOWS_DEBUG = 5599
 
