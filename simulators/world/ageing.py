@@ -92,6 +92,7 @@ def _random_walk_change(
     family = family_from_amplitudes(model, description.amplitudes)
     step = process_noise(family, 1e-3 * ageing.walk_um, tool_offset)
     nights = range(1, ageing.night + 1)
+    # One generator for each night: the steps of earlier nights are the same, whichever night is simulated.
     drawn = [generator(ageing.seed, f"walk {night}").standard_normal(model.size) for night in nights]
     return np.asarray(step * np.sum(drawn, axis=0))
 
