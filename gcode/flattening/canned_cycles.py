@@ -1,8 +1,8 @@
 """Canned cycles G73, G81, G82, G83, G85, G86 and G89 as single moves, in the order of LinuxCNC.
 
-In the three main planes, with G90 and G91, G98 and G99, and repetitions (L). LinuxCNC reaches every corner of a cycle
-exactly. The single moves are therefore separated by a dwell of 0, at which no controller blends two moves, unless the
-program has chosen exact path (G61).
+The cycles work in the three main planes, with G90 and G91, G98 and G99, and repetitions (L). LinuxCNC reaches every
+corner of a cycle exactly. The single moves are therefore separated by a dwell of 0, at which no controller blends two
+moves, unless the program has chosen exact path (G61).
 """
 
 from __future__ import annotations
