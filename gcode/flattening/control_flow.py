@@ -70,7 +70,8 @@ class ControlFlow:
 
     @classmethod
     def of(cls, lines: Sequence[SourceLine]) -> ControlFlow:
-        """Find the O-words in `lines` and what belongs together. Raises FormatError if they are not nested."""
+        """Find the O-words in `lines`, and pair the beginning of each block with its end. Raises FormatError if blocks
+        overlap instead of being nested."""
         section, stack = cls(lines), _Nesting([])
         for index, source in enumerate(lines):
             if "o" in source.text or "O" in source.text:

@@ -25,7 +25,7 @@ _SEED_OFFSET_PER_NIGHT = 1_000_003
 
 
 def apply_ageing(machine: TrueMachine, description: MachineDescription, ageing: AgeingSettings) -> TrueMachine:
-    """Return `machine` with the errors to which it has aged by the night with the number `ageing.night`.
+    """Return `machine` with the errors that it has, because of its ageing, in the night with the number `ageing.night`.
 
     Raises ConfigurationError if `ageing.collision` names an error that the machine does not have.
     """

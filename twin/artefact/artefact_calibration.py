@@ -89,8 +89,8 @@ class ArtefactCalibration:
 
 
 def artefact_calibration(balls: Array, factor: Array, errors: Array, covariance: Array) -> ArtefactCalibration | None:
-    """Return the calibration of an artefact, or None if its estimate says nothing about it: the certificate is perfect,
-    or the estimate took it as exact.
+    """Return the calibration of an artefact, or None if the measurement has not changed what is known of it, because
+    the certificate has no uncertainty or was taken as exact.
 
     `balls` (N, 3) in mm are the centres of the artefact file, and `factor` (3N, m) is a matrix L in mm such that L Lᵀ
     is their covariance. The estimate has the errors L u, and `errors` (m,) and `covariance` (m, m) are those of u.

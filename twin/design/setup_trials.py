@@ -1,4 +1,4 @@
-"""Trial changes of a measuring set-up: another probe length, a lateral stylus, more positions, or repetition of all
+"""Trial changes of a measuring set-up: a different probe length, a lateral stylus, more positions, or repetition of all
 positions. Each change could reveal further errors of the machine."""
 
 from __future__ import annotations
