@@ -9,7 +9,7 @@
     ├── FormatError    invalid text of a file; the error names the file, and the key or the row and column
     └── SingularSet    measurements that do not determine the requested quantities
 
-The errors of the device drivers have the same attributes (message, named locations, hint), but another base class.
+The errors of the device drivers have the same attributes (message, named locations, hint), but a different base class.
 `twin` therefore does not depend on the drivers.
 """
 

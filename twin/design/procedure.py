@@ -72,8 +72,8 @@ class Procedure:
         return self.layouts[tool]
 
     def with_artefact(self, artefact: Artefact) -> Procedure:
-        """Return the procedure with another artefact. The new artefact is used at all stations, also at those that had
-        their own artefact."""
+        """Return the procedure with a different artefact. The new artefact is used at all stations, also at those that
+        had their own artefact."""
         layouts = {name: replace(layout, artefact=artefact, own_artefacts={}) for name, layout in self.layouts.items()}
         return replace(self, layouts=layouts)
 

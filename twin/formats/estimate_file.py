@@ -287,7 +287,7 @@ def _text(value: object) -> str:
 
 def parse_estimate(text: str, source: str) -> StoredEstimate:
     """Return the stored estimate given as JSON text. Raise FormatError, which names `source` and the key, if the text
-    is invalid or has another format."""
+    is invalid or has a different format."""
     document = read_json(text, source, EstimateFile, format_name=FORMAT, remedy=_REMEDY)
     try:
         chain = parse_chain(document.model.chain)

@@ -82,7 +82,7 @@ class CarriedOverPrior:
 
     def for_another_thermometer(self) -> CarriedOverPrior:
         """Return the prior without the knowledge of the error of the artefact's thermometer, for measurements whose
-        temperatures were read by another thermometer or not at all."""
+        temperatures were read by a different thermometer or not at all."""
         blocks, artefact = self.unknowns.blocks, self.unknowns.artefact
         if "thermometer" not in artefact.strain_names:
             return self

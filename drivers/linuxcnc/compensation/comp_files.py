@@ -59,7 +59,7 @@ class CompFileStore:
         """Return the whole table of a bank as it was staged (written); None for bank 0 (no compensation) or an empty
         bank.
 
-        For the active bank, the method raises ChecksumMismatch if LinuxCNC was started with another table, and
+        For the active bank, the method raises ChecksumMismatch if LinuxCNC was started with a different table, and
         StoreError if there is no table.
         """
         if bank == 0:

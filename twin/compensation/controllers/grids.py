@@ -1,5 +1,5 @@
-"""Checks of a compensation table against the requirements of a controller, and resampling of the table to another grid.
-The requirements concern the spacing, the number of points and the size of the values.
+"""Checks of a compensation table against the requirements of a controller, and resampling of the table to a different
+grid. The requirements concern the spacing, the number of points and the size of the values.
 """
 
 from __future__ import annotations
