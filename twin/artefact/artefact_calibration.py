@@ -65,7 +65,7 @@ class ArtefactCalibration:
             f"{UM_PER_MM * self.before.standard_uncertainty_mm:.2g} µm ({self.before.ppm:.2g} ppm, k = 1) before the "
             "measurement. An error of it makes all lengths of artefact and machine wrong in proportion, and nothing "
             "measured with this artefact shows it.",
-            "The coordinates hold in the frame of the artefact file, fitted to its centres; position and direction "
+            "The coordinates refer to the frame of the artefact file, fitted to its centres; position and direction "
             "of the artefact are not part of the calibration.",
             "Machine and artefact were estimated together: do not identify the same ball centres again with this "
             "calibration, which would count them twice.",
