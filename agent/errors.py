@@ -50,7 +50,8 @@ class ArtefactMoved(MeasurementFault):
 
 
 class PlacementLost(MeasurementFault):
-    """Error that the engine raises inside the plan, which may then have the artefact placed again."""
+    """Error for an artefact placed by hand that no longer stands where it was measured. The engine raises it inside the
+    plan, which can then ask the operator to place the artefact again."""
 
 
 class PlanDiverged(RunError):

@@ -47,6 +47,7 @@ class MotionDeadline:
         remaining_mm = self._remaining_mm(self._here)
         if remaining_mm <= self._nearest_mm - PROGRESS_MM:
             self._nearest_mm = remaining_mm
+            # The limit is never shortened: a motion at full speed keeps its first allowance.
             self._expires_s = max(self._expires_s, now_s + self._stall_s)
 
     def restart(self) -> None:

@@ -77,6 +77,7 @@ def read_arc(
     radius, end_radius = math.hypot(*first), math.hypot(*last)
     _check_radii(block, radius, end_radius)
     angle = math.atan2(first[1], first[0])
+    # Angle from the first to the last radius: atan2 of their cross and dot products, within ±π.
     turn = math.atan2(first[0] * last[1] - first[1] * last[0], first[0] * last[0] + first[1] * last[1])
     sweep = _directed(turn, clockwise) + _more_turns(block, clockwise)
     return Arc(axes, centre, radius, end_radius, angle, sweep)
@@ -135,7 +136,10 @@ def _centre_by_radius(
         block.refuse("an arc given by its radius cannot end where it begins", "Give its centre")
     if 0.5 * chord > abs(radius) + _RADIUS_SURE_MM:
         block.refuse(f"the radius {abs(radius):g} mm does not reach the end, {chord:g} mm away")
+    # Distance of the centre from the chord (Pythagoras). Rounded coordinates can make a half circle's R slightly too
+    # short for its chord; the centre is then the middle of the chord.
     height = math.sqrt(max(radius * radius - 0.25 * chord * chord, 0.0))
+    # (-along[1], along[0]) points to the left of the chord.
     left = height if clockwise == (radius < 0.0) else -height
     return (
         0.5 * (start[a] + end[a]) - left * along[1] / chord,

@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from twin.arrays import Array
 from twin.compensation.table import CompensationTable
 
+# The pairs of axes of the mixed derivatives yz, xz and xy, in the order of the axis that is missing.
 _OTHERS = ((1, 2), (0, 2), (0, 1))
 
 
@@ -81,7 +82,9 @@ class TableCurvature:
         way = ends - starts
         length = np.sqrt((way * way).sum(axis=1))
         direction = np.abs(way) / np.maximum(length, 1e-12)[:, None]
+        # Jumps along an axis count only if the line touches a node plane of this axis at all.
         jumps = direction * self.kinks * self._crossed(np.minimum(starts, ends), np.maximum(starts, ends))
+        # dP'/ds contains d_i d_j ∂²c/∂x_i∂x_j for every ordered pair of axes, so each mixed derivative counts twice.
         inside = 2.0 * sum(direction[:, i] * direction[:, j] * q for (i, j), q in zip(_OTHERS, self.mixed, strict=True))
         rate = (jumps * direction / self.cells).sum(axis=1) + inside
         return _pieces(length, jumps.sum(axis=1), rate, limit_mm)
@@ -96,10 +99,14 @@ class TableCurvature:
         helix in mm, `curvature` is the largest curvature in 1/mm, and `sweep` is the angle of the arc in rad.
         `limit_mm` is the chord tolerance. No piece is longer than a quarter of a turn.
         """
+        # The direction of an arc changes on its way, so every |d_i| is replaced by its bound 1.
         jumps = self.kinks * self._crossed(lower, upper)
         inside = 2.0 * float(self.mixed.sum())
+        # The arc itself deviates by k h²/8, which is h/4 times k h/2: the share of k is 0.5 and not 1.
         rate = (jumps / self.cells).sum(axis=1) + inside + curvature * (self.gradient + 0.5)
+        # Twice the jump: an arc may reverse and cross one more node plane than a line.
         pieces = _pieces(length, 2.0 * jumps.sum(axis=1), rate, limit_mm)
+        # 1e-9 keeps an exact multiple of a quarter turn from being rounded up by floating-point noise.
         return np.maximum(pieces, np.ceil(np.abs(sweep) / (0.5 * np.pi) - 1e-9).astype(np.int64))
 
     def _crossed(self, lower: Array, upper: Array) -> NDArray[np.bool_]:
@@ -116,6 +123,7 @@ def _pieces(length: Array, jump: Array, rate: Array, limit_mm: float) -> NDArray
 
     The root of the quadratic is computed in its numerically stable form, without division by zero.
     """
+    # R h² + J h - 4 L = 0 has the positive root h = 8 L / (J + √(J² + 16 R L)).
     root = jump + np.sqrt(jump * jump + 16.0 * rate * limit_mm)
     return np.maximum(np.ceil(length * root / (8.0 * limit_mm) - 1e-9), 1.0).astype(np.int64)
 

@@ -135,6 +135,7 @@ def remember_words(block: Block, words: dict[str, str]) -> None:
     for code in block.m:
         group = _M_GROUPS.get(code)
         if group is not None:
+            # M7 (mist) and M8 (flood) may be on together; only M9 switches them off.
             both = (
                 group == "coolant" and code != _COOLANT_OFF and words.get(group, "M9") not in ("M9", f"M{code // 10}")
             )

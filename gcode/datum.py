@@ -65,6 +65,7 @@ def set_datum(block: Block, code: int, modal: ModalState, writer: ProgramWriter)
         modal.g92, modal.g92_written = modal.g92_saved
         writer.write_unchanged(block.text)
     else:
+        # G92.1 deletes the offset. G92.2 only suspends it; it stays saved for G92.3 until it is set again.
         modal.g92_saved = (modal.g92_saved or (modal.g92, modal.g92_written)) if code == 922 else None
         modal.g92 = modal.g92_written = NO_OFFSET
         writer.write_unchanged(block.text)
@@ -83,6 +84,9 @@ def _set_zero(block: Block, modal: ModalState, writer: ProgramWriter) -> None:
         value_mm = block.values[AXIS_LETTERS[axis]] * modal.unit_mm
         difference = writer.position[axis] - modal.position[axis]
         texts[axis] = f"{(value_mm + difference) / modal.unit_mm:.{writer.decimals}f}"
+        # Position = coordinate + G92 offset + (work offset + tool length), solved for the G92 offset: with the
+        # programmed position and coordinate for what the program intends, with the real position and the rounded number
+        # for what the controller stores.
         without = origin[axis] - modal.g92[axis]
         intended[axis] = modal.position[axis] - value_mm - without
         written[axis] = writer.position[axis] - float(texts[axis]) * modal.unit_mm - without
@@ -107,6 +111,7 @@ def go_to_reference(block: Block, name: str, modal: ModalState, writer: ProgramW
     else:
         writer.write_unchanged(block.text)
     intended, stored = modal.references.get(name, (UNKNOWN, UNKNOWN))
+    # G30 P3 and P4 are further reference points of some controllers; where they are is not known.
     if block.values.get("P", 2.0) != 2.0:
         intended = stored = UNKNOWN
     for axis in axes or range(3):
@@ -139,6 +144,7 @@ def set_work_offset(block: Block, modal: ModalState, writer: ProgramWriter) -> N
     if number is None or not (number.is_integer() and 0.0 <= number <= len(SYSTEMS)):
         block.refuse(f"G10 needs the number of the work offset, P0 to P{len(SYSTEMS)}")
     writer.flush()
+    # P0 is the coordinate system in effect.
     name = SYSTEMS[int(number) - 1] if number else modal.system
     intended = list(modal.work_offsets.get(name, UNKNOWN))
     written = list(modal.work_written.get(name, UNKNOWN))
@@ -146,6 +152,7 @@ def set_work_offset(block: Block, modal: ModalState, writer: ProgramWriter) -> N
     for axis in axes_in_block(block):
         value_mm = block.values[AXIS_LETTERS[axis]] * modal.unit_mm
         if kind == 2.0:
+            # With G91, L2 adds to the offset.
             intended[axis] = value_mm + (0.0 if modal.absolute else intended[axis])
             written[axis] = value_mm + (0.0 if modal.absolute else written[axis])
             continue
@@ -153,6 +160,8 @@ def set_work_offset(block: Block, modal: ModalState, writer: ProgramWriter) -> N
             block.refuse(f"G10 L20 sets coordinates of {AXIS_LETTERS[axis]}, but {_NO_POSITION}", modal.start_hint)
         difference = writer.position[axis] - modal.position[axis]
         texts[axis] = f"{(value_mm + difference) / modal.unit_mm:.{writer.decimals}f}"
+        # Position = coordinate + work offset + G92 offset + tool length, solved for the work offset, twice as in
+        # `_set_zero`.
         intended[axis] = modal.position[axis] - value_mm - modal.g92[axis] - modal.tool_offset[axis]
         told_mm = float(texts[axis]) * modal.unit_mm
         written[axis] = writer.position[axis] - told_mm - modal.g92_written[axis] - modal.tool_offset[axis]
@@ -165,6 +174,7 @@ def set_work_offset(block: Block, modal: ModalState, writer: ProgramWriter) -> N
 
 def _through_words(axes: list[int], point: Triple, modal: ModalState, writer: ProgramWriter) -> dict[int, str]:
     base = modal.frame[:3] if modal.absolute else writer.position
+    # Adding 0.0 turns -0.0 into 0.0, which would be written with its sign.
     return {axis: f"{(point[axis] - base[axis]) / modal.unit_mm + 0.0:.{writer.decimals}f}" for axis in axes}
 
 
@@ -187,6 +197,7 @@ def move_from_unknown_position(
     writer.flush()
     frame = (*NO_OFFSET, True) if machine else modal.frame
     for axis in axes_in_block(block):
+        # An incremental word from an unknown position adds to NaN: the axis stays unknown.
         word_mm = block.values[AXIS_LETTERS[axis]] * modal.unit_mm
         writer.position[axis] = word_mm + (frame[axis] if frame[3] else writer.position[axis])
     modal.position = list(end)

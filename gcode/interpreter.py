@@ -45,8 +45,10 @@ _REFERENCES = {280: "G28", 300: "G30"}
 _STORED = {281: "G28", 301: "G30"}
 _DATUM = frozenset((920, 921, 922, 923))
 _OFFSETS = 100
+# Arcs are written as straight pieces: a corrected circle is not a circle.
 _WRITTEN = {0: "G0", 10: "G1", 20: "G1", 30: "G1"}
 _DWELL, _MACHINE, _DYNAMIC_LENGTH, _CANCEL = 40, 530, 431, 800
+# Codes for which the axis words of the block are not a target in the coordinates of the program.
 _SPECIAL = frozenset((_DWELL, _MACHINE, _DYNAMIC_LENGTH, _OFFSETS, *_REFERENCES, *_STORED, *_DATUM))
 _UNCLEAR = "the effect of {} in each piece is not known"
 _UNSURE = "M{} takes effect before the motion on some controllers and after it on others"
@@ -74,6 +76,7 @@ class Interpreter:
         if self._flowing and self._plain_move(source, text):
             return
         if text.lstrip().startswith("%"):
+            # The first % opens the tape, the second one ends it.
             self.modal.ended = self.modal.begun
             self._flowing = False
             self._writer.write_unchanged(text)
@@ -112,6 +115,7 @@ class Interpreter:
             return False
         modal = self.modal
         unit, position = modal.unit_mm, modal.position
+        # Absolute words count from the zero point, incremental words from the programmed position.
         base = modal.offset if modal.absolute else position
         if base is None:
             return False
@@ -160,6 +164,7 @@ class Interpreter:
         """Set all modes except the motion mode, in the order of RS-274/NGC."""
         modal, codes = self.modal, block.g
         if "T" in block.values:
+            # T only selects a tool; M6 loads it.
             modal.tool_called = int(block.values["T"])
         if TOOL_CHANGE in block.m:
             self._change_tool(block)
@@ -169,9 +174,11 @@ class Interpreter:
             return
         for code in codes:
             _MODES.get(code, _nothing)(modal)
+        # The moves collected so far must be written in the old unit.
         if modal.unit_mm != self._writer.unit_mm:
             self._writer.flush()
             self._writer.resume_at(_triple(modal.position), self._writer.position, modal.unit_mm)
+        # The lengths of G43.1 are in the unit that the same block may set, so they are read after the modes.
         if 430 in codes:
             modal.tool_offset = self._tool_length(block)
         if _DYNAMIC_LENGTH in codes:
@@ -219,6 +226,7 @@ class Interpreter:
         named = _AXES.intersection(block.values)
         if stated and not (stated == [0] and code in _REFERENCES):
             block.refuse("two G codes use the axis words", "Write two blocks")
+        # G4 X is a dwell time on Fanuc-like controllers. With P as well, some controllers would read X as a move.
         if code == _DWELL and named and (named != {"X"} or "P" in block.values):
             block.refuse("a dwell with axis words is a move on some controllers", "Write two blocks")
         if code in _DATUM:
@@ -244,6 +252,7 @@ class Interpreter:
         modal, motion = self.modal, self.modal.motion
         if motion is None:
             block.refuse("axis words, but none of G0 to G3 is in effect", "State the G code")
+        # Controllers differ on G53 with G91: LinuxCNC takes the words as absolute, Fanuc ignores the block.
         if machine and (motion in _ARCS or not modal.absolute):
             block.refuse("G53 requires G0 or G1, and G90")
         if motion not in _ARCS and not _ARC.isdisjoint(block.values):
@@ -266,6 +275,7 @@ class Interpreter:
             message = "the position of the axes before this block is not known"
             block.refuse(message, f"Begin with G0 moves that name X, Y and Z. {self.modal.start_hint}")
         self._coded = True
+        # A rapid move that names all unknown axes ends at a known position, so its end can be corrected.
         self._position_known = not any(map(math.isnan, end))
         if self._position_known:
             self._writer.flush()
@@ -289,6 +299,7 @@ class Interpreter:
     def _as_move(self, block: Block, machine: bool, motion: int) -> MoveBlock:
         head, tail, stop = "", "", ""
         values, inverse, coded, whole = block.values, 0.0, self._coded, ""
+        # With G93, F holds for its own move only; rapid moves have none.
         timed = self.modal.inverse_time and motion != 0
         for letter, number, _ in block.tokens:
             if letter in _GEOMETRY or (letter == "P" and motion in _ARCS):
@@ -305,6 +316,8 @@ class Interpreter:
                 inverse = values["F"]
             elif letter != "M":
                 tail += f" {letter}{number}"
+                # A word whose effect in each piece is unknown (such as P of some M codes) forbids dividing the move. P
+                # and Q of G64 are tolerances and may be written once.
                 if letter not in _ONCE and _BLENDING not in block.g:
                     whole = _UNCLEAR.format(letter)
             elif code_number(number) in STOPS:

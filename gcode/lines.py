@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from gcode.source import SourceLine
 
+# Bits 1, 2 and 4 for X, Y and Z.
 ALL_AXES = 7
 
 
@@ -45,6 +46,7 @@ class LineFormatter:
 
     def __init__(self, decimals: int) -> None:
         x, y, z = (f"{letter}%.{decimals}f" for letter in "XYZ")
+        # The index of a form is the bit mask of its axes.
         self._forms = ["", x, y, f"{x} {y}", z, f"{x} {z}", f"{y} {z}", f"{x} {y} {z}"]
         self._code = ""
 
@@ -78,6 +80,7 @@ class LineFormatter:
             head, tail, comment = (move.head, move.tail, move.comment) if first else ("", "", "")
             stop = move.stop if number == count else ""
             code = self._motion(move, forced=first)
+            # The line covers `waiting` of `count` equal pieces, and therefore takes this share of the time.
             feed = f" F{_number(move.inverse * count / waiting)}" if move.inverse else ""
             yield f"{head}{code}{self._axis_words(piece, bits)}{feed}{tail}{stop}{comment}"
             waiting, first = 0, False

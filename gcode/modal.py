@@ -87,6 +87,7 @@ class ModalState:
         becomes None if the work offset is not known.
         """
         work = self.work_offsets.get(self.system)
+        # RS-274/NGC: machine position = word + work offset + G92 offset + tool length.
         self.offset = None if work is None else _sum(work, self.g92, self.tool_offset)
         written = _sum(self.work_written.get(self.system, UNKNOWN), self.g92_written, self.tool_offset)
         self.frame = (*written, self.absolute)

@@ -51,6 +51,7 @@ class MovePaths:
         """
         total = int(pieces.sum())
         rows = np.repeat(np.arange(len(pieces)), pieces) + first
+        # Points of all earlier moves, so that `number` counts 1, 2, … within each move.
         before = np.repeat(np.cumsum(pieces) - pieces, pieces)
         number = np.arange(1, total + 1) - before
         last = number == np.repeat(pieces, pieces)
@@ -59,11 +60,13 @@ class MovePaths:
         curved = [row for row in self.arcs if first <= row < first + len(pieces)]
         if curved:
             self._bend(points, rows, share, curved)
+        # start + 1.0 · (end - start) differs from the end by floating-point noise, which would change a rounded word.
         points[last] = self.ends[rows[last]]
         return points, rows, last
 
     def _bend(self, points: Array, rows: Indices, share: Array, curved: list[int]) -> None:
         """Move the points of arcs from the chord onto the arc, in place."""
+        # Number of each move among the arcs; -1 for straight moves.
         place = np.full(len(self.ends), -1)
         place[curved] = np.arange(len(curved))
         which = place[rows]
@@ -78,11 +81,15 @@ class MovePaths:
         for place, row in enumerate(rows.tolist()):
             arc = self.arcs[row]
             largest = max(arc.radius, arc.end_radius)
+            # The box of the whole circle: the arc may reach any side of it. Along the normal axis the box ends at the
+            # ends of the arc. (zip stops after the two axes of the plane.)
             for axis, middle in zip(arc.axes, arc.centre, strict=False):
                 lower[place, axis], upper[place, axis] = middle - largest, middle + largest
             rise = float(self.ends[row, arc.axes[2]] - self.starts[row, arc.axes[2]])
             sizes.append((largest, arc.end_radius - arc.radius, rise, arc.sweep))
         radius, widening, rise, sweep = np.array(sizes).T
+        # With the share t of the way, the spiral has the radius r + w t and the angle φ t. Its second derivative by t
+        # has the components r φ² (inward) and 2 w φ (along the turn). By the square of the length it is the curvature.
         length = np.sqrt((radius * sweep) ** 2 + widening**2 + rise**2)
         curvature = (radius * sweep**2 + 2.0 * np.abs(widening * sweep)) / length**2
         return bending.arc_pieces(lower, upper, length, curvature, sweep, limit_mm)
@@ -112,18 +119,24 @@ def round_to_words(
     position that the controller reaches with the preceding words. Rounding errors do not accumulate. `position` is the
     position of the controller before the first point.
     """
+    # Length in mm of one unit of the last decimal; words are whole numbers of steps.
     step = unit_mm * 10.0**-decimals
     frame = np.array(frames)[rows]
     absolute = frame[:, 3] != 0.0
+    # First as if all words were absolute.
     base = frame[:, :3].copy()
     counted = np.rint((points - base) / step)
     reached = base + counted * step
     if not absolute.all():
+        # Index of the last absolute point before each incremental one. Words between them are rounded from what that
+        # point reached, so that the sum of the rounded words is the rounded sum.
         before = np.maximum.accumulate(np.where(absolute, np.arange(len(points)), -1))[~absolute]
         base[~absolute] = np.where(before[:, None] >= 0, reached[before], np.asarray(position))
         reached[~absolute] = base[~absolute] + np.rint((points[~absolute] - base[~absolute]) / step) * step
     change = np.diff(reached, axis=0, prepend=np.asarray(position)[None, :])
     counted[~absolute] = np.rint(change[~absolute] / step)
+    # Adding 0.0 turns -0.0 into 0.0. Words of one frame reach positions that are whole steps apart, so a quarter of a
+    # step tells a change from floating-point noise.
     return AxisWords(np.round(counted * 10.0**-decimals, decimals) + 0.0, np.abs(change) > 0.25 * step, reached)
 
 
@@ -170,6 +183,8 @@ def correct_points(table: CompensationTable, points: Array, *, held: bool) -> Co
 
 def _extrapolated(table: CompensationTable, points: Array) -> int:
     """Count the points that depend on a node outside the measured region."""
+    # Trilinear interpolation uses the eight nodes of a cell. Outside the table the nearest border nodes act, hence the
+    # clip.
     near = [np.searchsorted(nodes, points[:, k]) for k, nodes in enumerate(table.nodes)]
     found = np.zeros(len(points), dtype=bool)
     for corner in np.ndindex(2, 2, 2):

@@ -19,6 +19,7 @@ from gcode.source import SourceLine
 
 _WORD = re.compile(r"([A-Z]|(?<=.)\$)[ \t]*([-+]?(?:\d+\.?\d*|\.\d+)|(?<=[FS])#<_HAL\[[^\[\]<>]*\]>)|([^ \t])")
 _NUMBER = r"([-+]?(?:\d+\.?\d*|\.\d+))"
+# The words in the order in which post-processors write them, each at most once and with at most one space behind.
 _PLAIN = re.compile(
     r"(?:N(\d+) ?)?(?:G0?([01]) ?)?" + "".join(f"(?:{letter}{_NUMBER} ?)?" for letter in "XYZ") + f"(?:F{_NUMBER})?$"
 )
@@ -74,6 +75,7 @@ def read_block(text: str, source: SourceLine) -> Block:
             block.m.append(code_number(number))
         elif letter in values:
             block.refuse(f"the word {letter} occurs twice")
+        # The third group of the pattern is any sign at which no word begins.
         elif other:
             _refuse_sign(block, code, other)
         else:
@@ -96,6 +98,7 @@ def code_number(number: str) -> int:
     """Convert the number of a G or M word to ten times its value. For example, `01` gives 10 and `91.1` gives 911.
     Return -1 if the number cannot be a code.
     """
+    # Codes have at most one decimal. 1e-6 covers numbers such as 91.1, whose tenfold is not exact in binary.
     tenfold = float(number) * 10.0
     return round(tenfold) if tenfold >= 0.0 and abs(tenfold - round(tenfold)) < 1e-6 else -1
 

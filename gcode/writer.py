@@ -24,9 +24,13 @@ from gcode.words import Block
 from twin.compensation.table import CompensationTable
 from twin.errors import DataError
 
+# Numbers of lines and of points that are processed at once: many, so that the calls of numpy cost little, and bounded,
+# so that the memory does not grow with the program.
 _BATCH_LINES = 4096
 _PART_POINTS = 16384
+# The points of one move are kept in memory together, 24 bytes each.
 _MOST_PIECES = 200_000
+# A nanometre: above the floating-point noise of added offsets, far below any tolerance.
 _OUTSIDE_MM = 1e-6
 _AXIS_BITS = np.array([1, 2, 4])
 
@@ -53,6 +57,7 @@ class ProgramWriter:
         self.newline = "\n"
         self._emit = emit
         self._held = options.outside == "refuse"
+        # Clamped points leave the table, where the slope of the correction jumps to zero at the border.
         self._bending = TableCurvature.of(table, beyond=not self._held)
         self._limit_mm = _without_rounding(options)
         self._items: list[str | MoveBlock] = []
@@ -145,6 +150,7 @@ class ProgramWriter:
         pieces = paths.pieces(self._bending, dividable, self._limit_mm)
         self._check_pieces(moves, pieces)
         first = 0
+        # A part consists of whole moves, because the lines of a move are formatted together.
         part = np.cumsum(pieces) // _PART_POINTS
         for after in [*(np.flatnonzero(np.diff(part)) + 1).tolist(), len(moves)]:
             yield from self._part(moves, paths, first, pieces[first:after])
@@ -158,6 +164,8 @@ class ProgramWriter:
         words = round_to_words(found.points, frames, rows - first, self.position, self.unit_mm, self.decimals)
         self.position = words.position[-1].tolist()
         axes = words.changed @ _AXIS_BITS
+        # The last line of a move keeps every word of the program, even if the value does not change: a line with axis
+        # words stays a move.
         axes[last] |= np.array([move.mask for move in moves[first : first + len(pieces)]])
         values, bits = words.values.tolist(), axes.tolist()
         pen, at = self._pen, 0
@@ -216,7 +224,9 @@ def _without_rounding(options: CorrectionOptions) -> float:
 
     Raises DataError if nothing remains.
     """
+    # A program may switch between mm and inches, which have one decimal more: the coarser step counts.
     step = max(10.0**-options.decimals, MM_PER_INCH * 0.1 ** (options.decimals + 1))
+    # Half a step along each axis: half the diagonal of a cube.
     rounding: float = 0.5 * math.sqrt(3.0) * step
     if rounding >= options.max_chord_error_mm:
         largest = f"{1e3 * rounding:.3g} µm"

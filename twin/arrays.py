@@ -13,8 +13,8 @@ Array = NDArray[np.float64]
 def as_points(values: ArrayLike, name: str) -> Array:
     """Return `values` as a float64 array (n, 3) of n points. A single point (3,) becomes an array (1, 3).
 
-    Raises DataError if `values` has another shape or contains a number that is not finite. The error names the first
-    bad row.
+    Raises DataError if `values` has a different shape or contains a number that is not finite. The error names the
+    first bad row.
     """
     points = np.atleast_2d(np.asarray(values, dtype=np.float64))
     if points.ndim != 2 or points.shape[1] != 3:

@@ -9,7 +9,7 @@
     ├── FormatError    invalid text of a file; the error names the file, and the key or the row and column
     └── SingularSet    measurements that do not determine the requested quantities
 
-The errors of the device drivers have the same attributes (message, named locations, hint), but another base class.
+The errors of the device drivers have the same attributes (message, named locations, hint), but a different base class.
 `twin` therefore does not depend on the drivers.
 """
 
@@ -65,7 +65,7 @@ class PositionError(DataError):
         self._text = text
 
     def renumbered(self, number: int) -> PositionError:
-        """Return the same error with another number of the position, such as that in a file."""
+        """Return the same error with the number of the position replaced, for example by its number in a file."""
         return PositionError(number, self._text, hint=self.hint, **self.where)
 
 

@@ -71,7 +71,7 @@ def gates_table(forecasts: Iterable[GateForecast]) -> Table:
 
 
 def table_subject(table: CompensationTable) -> str:
-    """Return the line that names the machine of a compensation table and its artefact, as far as they are known."""
+    """Return the line that names the machine of a compensation table and its artefact, if they are known."""
     return subject(table.machine or "not stated", table.artefact or "not stated")
 
 

@@ -81,7 +81,7 @@ def closing_clock(clock: Clock) -> Iterator[Clock]:
 
 
 def assemble(settings: Settings, clock: Clock, base: Path) -> Rig:
-    """Return the rig (all devices) of the real or simulated machine described by `settings`. No device is opened yet.
+    """Return the rig of the real or simulated machine described by `settings`. No device is opened yet.
 
     `base` is the directory to which relative paths in the settings refer.
     """
@@ -123,7 +123,7 @@ def stations_of(stations: StationSettings) -> range:
 
 @dataclass(frozen=True)
 class Devices:
-    """Pair of functions that create the rig (all devices) and the clock of a machine from the settings.
+    """Pair of functions that create the rig and the clock of a machine from the settings.
 
     By default, both are created as the settings describe. A test, whose machine already exists, passes functions that
     return the existing rig and clock.

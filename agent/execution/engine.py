@@ -122,7 +122,7 @@ class Engine:
     def _chosen(self, fork: Fork) -> RunPlan:
         way = self.run(_decided(fork))
         if way not in fork.ways:
-            raise ValueError(f"{fork.key} has chosen {way!r}, which is none of {list(fork.ways)}")
+            raise ValueError(f"{fork.key} has chosen {way!r}, which is not one of {list(fork.ways)}")
         return fork.ways[way]()
 
     def _do(self, step: Step) -> Any:

@@ -38,7 +38,7 @@ class Journal:
 
     There is one writer at a time. Pages and reports may read the database at the same time.
 
-    Raises ConfigurationError if the database cannot be opened or created, or has another version.
+    Raises ConfigurationError if the database cannot be opened or created, or if its version is not the expected one.
     """
 
     def __init__(self, directory: Path) -> None:

@@ -52,8 +52,8 @@ def open_journal(directory: Path, failure: type[VolcalError] = InputError) -> It
     """Yield a reader of the journal in the state directory `directory`. The journal is open during the `with` block and
     is not changed.
 
-    Raises an error of the class `failure` if there is no journal, if it has another version, or if it cannot be read at
-    the start or later in the block.
+    Raises an error of the class `failure` if there is no journal, if it has a different version, or if it cannot be
+    read at the start or later in the block.
     """
     path = directory / FILE_NAME
     try:

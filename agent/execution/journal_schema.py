@@ -17,7 +17,7 @@ VERSION = 3
 def prepare(connection: sqlite3.Connection, path: Path) -> None:
     """Create the database tables of the journal in one transaction if the database is empty.
 
-    After a power cut, the journal has all tables or none. Raises ConfigurationError if it has another version.
+    After a power cut, the journal has all tables or none. Raises ConfigurationError if it has a different version.
     """
     connection.execute("PRAGMA journal_mode=WAL")
     connection.execute("PRAGMA synchronous=FULL")
@@ -37,7 +37,7 @@ def prepare(connection: sqlite3.Connection, path: Path) -> None:
 
 
 def require_version(connection: sqlite3.Connection, path: Path, failure: type[VolcalError]) -> None:
-    """Raise an error of the class `failure` if the journal at `path` was written by another version of volcal."""
+    """Raise an error of the class `failure` if the journal at `path` was written by a different version of volcal."""
     found = _version(connection)
     if found not in (0, VERSION):  # an empty database has version 0
         raise failure(

@@ -1,4 +1,4 @@
-"""Comparison of the time model (the motion laws and latencies by which machine time is predicted) with a finished run.
+"""Comparison of the time model with a finished run.
 
 The comparison gives the predicted and the observed times of the steps, and latencies fitted to the observed times.
 """

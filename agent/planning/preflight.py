@@ -71,7 +71,7 @@ class PreflightResult:
 
     @property
     def longest_minutes(self) -> float:
-        """Machine time in min of the longest branch in which the run reaches an end of its own."""
+        """Machine time in min of the longest branch in which the run is not stopped before its end."""
         return max(branch.machine_minutes for branch in self.ends)
 
     @property
@@ -80,7 +80,7 @@ class PreflightResult:
 
     @property
     def ends(self) -> tuple[Branch, ...]:
-        """Branches in which the run reaches an end of its own, without those in which it is stopped."""
+        """Branches in which the run is not stopped before its end."""
         return tuple(branch for branch in self.branches if not branch.is_withdrawal)
 
 

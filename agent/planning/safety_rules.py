@@ -29,7 +29,8 @@ def checked_plan(plan: s.Plan[T], rules: SafetyRules) -> s.Plan[T]:
     """Return a plan that yields the steps of `plan` and checks each step against `rules` before it is executed.
 
     The result of the returned plan is the result of `plan`. If a step breaks a safety rule, the returned plan raises
-    PlanRefused with the key of the step. A step that raises an error which `plan` expects raises it inside `plan`.
+    PlanRefused with the key of the step. If the execution of a step raises an error that plans handle themselves, this
+    error is raised inside `plan`.
     """
     result: Any = None
     lost: VolcalError | None = None

@@ -194,7 +194,7 @@ def _check_mounts(named: Mapping[int, str], count: int, devices: Mapping[str, De
         first = owner.setdefault(device, station)
         if first != station and not _plays_several(devices, device):
             raise ConfigurationError(
-                f"device {device!r} is the mount of station {first} already",
+                f"device {device!r} is already the mount of station {first}",
                 key=f"roles.mount.{station}",
                 hint="each station has a mount of its own, or roles.mount names one that is carried",
             )

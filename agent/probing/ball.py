@@ -262,7 +262,7 @@ class FailedGate:
 
 
 def first_failed_gate(fit: SphereFit, probing: ProbingParameters) -> FailedGate | None:
-    """Return the first gate (limit of a measured ball) that `fit`, a sphere fitted with a free radius, does not pass;
+    """Return the first limit of a measured ball that `fit`, a sphere fitted with a free radius, does not pass;
     None if it passes all gates."""
     limits = probing.limits
     deviation = fit.radius - probing.expected_radius_mm

@@ -77,7 +77,7 @@ def restore(bank: int, *, after_fault: bool, activation: Activation = Activation
 
 def activate(prefix: str, bank: int, activation: Activation = Activation.IMMEDIATE) -> Plan[None]:
     """Activate the controller's compensation bank `bank` and check that it is active. Raises ReadBackMismatch if the
-    controller reports another active bank.
+    controller reports a different active bank.
 
     Raises NotActiveYet if a person must act before the bank becomes active. The plan can be resumed after the person
     has acted.

@@ -232,7 +232,7 @@ class _Design:
         """Return the gate for the reduction of the mean square of the held-out balls by the first table."""
         reduction = self._held_out_reduction()
         predicted_um2, smallest_um2 = (UM_PER_MM**2 * one for one in (reduction.square, reduction.smallest_shown))
-        text = "fall of the mean square of the held-out balls in µm², against the smallest that they can show"
+        text = "expected reduction of the mean square of the held-out balls in µm², and the smallest detectable one"
         return Gate(PROOF, reduction.can_be_shown, predicted_um2, smallest_um2, text)
 
     def _held_out_reduction(self) -> PredictedReduction:

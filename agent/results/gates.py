@@ -293,7 +293,7 @@ def require_unmarked(table: CompensationTable, file: str) -> None:
 
 
 def require_machine(table: CompensationTable, config: Path, file: str) -> None:
-    """Raise InputError if `table`, read from `file`, corrects another machine than that of the settings file `config`.
+    """Raise InputError if `table`, read from `file`, corrects a machine other than that of the settings file `config`.
     A table that does not name its machine is accepted."""
     with naming(config):
         machine = load_machine(read_settings(config).machine).name

@@ -55,8 +55,8 @@ class Confirmation:
 
 
 class Decision(Enum):
-    """Decision that ends a nightly run or a verification. CONFIRMED is that of a calibration that keeps the active
-    table."""
+    """Decision that ends a run. CONFIRMED ends a calibration that keeps the active table; all others end a nightly run
+    or a verification."""
 
     WITHIN = "within limits"
     OUT = "out of limits"

@@ -10,10 +10,9 @@ active and of the new table, with c₁ = -ê. The mean square that is left with 
 balls, each with its own points. At the held-out balls it can be compared with the measured reduction, which contains
 the noise of the touches before and after; see `agent.results.predicted_reduction`.
 
-Diagnosis of the correction that a controller applies, if held-out balls do not agree with a new table.
-
-Let c be the corrections of the new table, which make up for the estimated deviations: e = -c. A controller that adds
-the correction a to the displayed positions d moves the tip to d + a + e = d + a - c. If a = c, the tip is where the
+If held-out balls do not agree with a new table, the correction that the controller really applies is diagnosed. Let c
+be the corrections of the new table, which make up for the estimated deviations: e = -c. A controller that adds the
+correction a to the displayed positions d moves the tip to d + a + e = d + a - c. If a = c, the tip is where the
 controller displays it. The other corrections that controllers are known to apply by mistake are tried in turn: a = -c
 (wrong sign), a = 0 (no table), and that of the former table.
 """

@@ -117,7 +117,7 @@ def refuse_existing(directory: Path) -> None:
     settings = directory / SETTINGS_FILE
     if settings.exists():
         raise InputError(
-            "there are settings of a machine already",
+            "the directory already contains the settings of a machine",
             hint="choose another directory, or add --force",
             file=str(settings),
         )

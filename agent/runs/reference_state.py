@@ -186,7 +186,7 @@ def mismatch(job: Job, reference: ReferenceState) -> str:
         ("cross-effect", model.cross_effect, nominal.cross_effect),
     ):
         if old != new:
-            return f"the machine has another {name} since"
+            return f"the {name} of the machine has been changed since"
     if accepted.tool != settings.tool or not (known.tool_offsets == job.tool_offset_mm).all():
         return f"it was measured with tool {accepted.tool} {known.tool_offsets[0].tolist()}, not {settings.tool}"
     if accepted.artefact != settings.artefact.name or not known.unknowns.artefact.matches(job.artefact):

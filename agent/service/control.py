@@ -108,7 +108,7 @@ class Control(Protocol):
         cannot be carried out, DeviceError if the machine cannot be reached, and PermissionMissing if a reset is needed
         first.
 
-        A request without consent (no person has confirmed that the machine may move) has further conditions. Raise
+        A request without consent has further conditions. Raise
         PermissionMissing if the controller does not permit motion. Raise GateRefused if the present hour is not
         permitted or the machine has not warmed up yet.
         """

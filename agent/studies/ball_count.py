@@ -1,6 +1,6 @@
 """Study of the number of balls needed on a bar of given length. It computes the volumetric error after compensation
-with 3 to 15 balls, and the gain (reduction of the volumetric error) of each number of balls as a share of the largest
-gain."""
+with 3 to 15 balls, and the reduction of the volumetric error with each number of balls as a share of the largest
+reduction."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Curve:
     """Results of one identification variant for each number of balls in `COUNTS` (3 to 15).
 
     `verdicts` contains the volumetric error after compensation (VCE) for each number of balls. `shares` contains the
-    gain (reduction of the volumetric error) as a share of the largest gain. A share is None if the machine is not
+    reduction of the volumetric error as a share of the largest reduction. A share is None if the machine is not
     identified with this number of balls, or if no number of balls reduces the volumetric error.
     """
 

@@ -98,7 +98,7 @@ def run(case: StudyCase) -> StudyResult:
 
     The first group contains the named sets (S1, S2, S3 and their combinations). The second contains the designs for
     several time slots, and the design that reaches the volumetric compensated error (VCE) of the reference set S3. The
-    third contains the designs for one time slot with other artefacts and other numbers of touches.
+    third contains the designs for one time slot with different artefacts and numbers of touches.
     """
     evaluator = SetEvaluator.of(case)
     base = variants_of(case.job, Path())[0]

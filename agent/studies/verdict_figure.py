@@ -44,9 +44,10 @@ class BrokenAxes:
     def add(
         cls, figure: Figure, slot: SubplotSpec, rows: Sequence[Sequence[Verdict]], before: VolumetricRms
     ) -> BrokenAxes:
-        """Add the axes to the cell `slot` of the figure's grid. Their scales fit the volumetric errors after
-        compensation that all verdicts in `rows` give in closed form, and the volumetric error without compensation,
-        `before`.
+        """Add the axes to the cell `slot` of the figure's grid.
+
+        Their scales have room for the volumetric error without compensation (`before`) and for the volumetric errors
+        after compensation that the verdicts in `rows` predict in closed form.
         """
         values = [value for row in rows for value in map(aligned_um, row) if value is not None]
         beyond = [value for value in values if value > FAR_BEYOND * before.aligned_um]

@@ -66,7 +66,7 @@ def _machine(interrupter: Interrupter) -> list[str]:
         failures.append(f"left {world.controller.motion.value}")
     away = abs(float(world.controller.displayed_position()[1]) - world.controller.limits().lower_mm[1])
     if interruption.how in WITHDRAWING and away > POSITION_TOLERANCE_MM and interrupter.ordinal > 1:
-        failures.append(f"the axes stand {away:.1f} mm before the retreat plane")
+        failures.append(f"the axes stand {away:.1f} mm short of the retreat plane")
     return failures
 
 

@@ -129,8 +129,7 @@ ENDS: dict[str, tuple[dict[str, dict[str, Any]], RunState]] = {
 
 
 def check_refused_and_restored() -> dict[str, Any]:
-    """Carry out two uninterrupted runs that must end with the former table (active before the run) active again, and
-    return the failures.
+    """Carry out two uninterrupted runs that must end with the former table active again, and return the failures.
 
     In the first run a gate refuses the new table. In the second run the verification fails, and the former table is
     restored.

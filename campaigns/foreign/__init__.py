@@ -1,2 +1,2 @@
-"""Trial of the identification on machines that share nothing with the program: own transforms, own error functions, own
-deflection, with the truth known. The tests of `tests/truth` use the same machines."""
+"""Trial of the identification on machines that share nothing with the program. They have their own transforms, error
+functions and deflection, and their true errors are known. The tests of `tests/truth` use the same machines."""

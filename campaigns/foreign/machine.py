@@ -1,4 +1,4 @@
-"""Machines that share nothing with the program: own transforms, own error functions, own deflection.
+"""Machines that share nothing with the program: they have their own transforms, error functions and deflection.
 
 The chain is tool-Y-Z-X-bed-workpiece with a ram along Y. The error motions of an axis are Legendre series of numpy,
 sums of sines with free wavelengths, power series, or straight pieces of rail. The deflection is that of a ram and a

@@ -1,4 +1,4 @@
-"""Nights of a foreign machine that changes in other ways than a random walk of the program's model."""
+"""Nights of a foreign machine whose changes are not a random walk of the program's model."""
 
 from __future__ import annotations
 

@@ -94,7 +94,7 @@ class ServiceHost:
         """Return a new host in `directory` with a copy of this host's state.
 
         The settings of the new host are the same except for the machine's addresses, which are taken from `ready`, the
-        addresses of another simulated plant.
+        addresses of a different simulated plant.
         """
         shutil.copytree(
             self.state, directory / "state", ignore=shutil.ignore_patterns(address_file.ADDRESS_FILE, "*.lock")

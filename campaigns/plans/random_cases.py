@@ -48,7 +48,7 @@ class DrawnCase:
 
 class Dice:
     """Random generator that provides the few kinds of random values needed for a random case. Each `stream` gives
-    other values for one seed.
+    different values for the same seed.
     """
 
     def __init__(self, seed: int, stream: int) -> None:

@@ -124,7 +124,7 @@ def _interrupted(trial: PlanTrial, drawn: DrawnCase, kind: CalibrationWithoutIde
     plane_mm = (limits.lower_mm if drawn.spindle.sign > 0 else limits.upper_mm)[axis]
     retreated = abs(float(world.controller.displayed_position()[axis]) - plane_mm)
     if drawn.interruption == "abort" and retreated > POSITION_TOLERANCE_MM:
-        trial.failures.append(f"abort: the axes stand {retreated:.1f} mm before the retreat plane")
+        trial.failures.append(f"abort: the axes stand {retreated:.1f} mm short of the retreat plane")
 
 
 def _judge_world(trial: PlanTrial, what: str, world: World) -> None:

@@ -35,7 +35,7 @@ def load_description(settings: AxisSettings, base_path: Path) -> DriveDescriptio
     """Load the EDS file that the settings name; return an empty description if they name none.
 
     Raises ConfigurationError if the file cannot be read, or if a required object is missing, is not writable although
-    the driver writes it, or has another size. The error names the file and the object.
+    the driver writes it, or has a different size. The error names the file and the object.
     """
     if settings.eds is None:
         return DriveDescription(ObjectDictionary())  # type: ignore[no-untyped-call]

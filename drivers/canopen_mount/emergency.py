@@ -70,6 +70,7 @@ _TEXTS: dict[int, str] = {
 def emergency_text(code: int) -> str:
     """Return an error code with its text, for example ``0x8611 following error``."""
     for mask in (0xFFFF, 0xFFF0, 0xFF00, 0xF000):
+        # 0x0000 is in the table as "no error"; a code whose masked value is 0 must not get this text.
         if code & mask in _TEXTS and (code & mask or not code):
             return f"0x{code:04X} {_TEXTS[code & mask]}"
     return f"0x{code:04X} unknown error code"

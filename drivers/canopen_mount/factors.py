@@ -43,6 +43,7 @@ class Factor:
         """
         if len(found) == 1:
             return found == self.values
+        # A ratio with the denominator 0 agrees with nothing.
         return bool(found[1]) and Fraction(*found) == Fraction(*self.values)
 
     def __str__(self) -> str:

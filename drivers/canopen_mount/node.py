@@ -73,7 +73,7 @@ class DriveNode:
         data = self.read_bytes(entry)
         if len(data) != entry.size:
             raise ProtocolError(
-                f"the drive answered {len(data)} bytes for {entry}, its data type has {entry.size}",
+                f"the drive answered {len(data)} bytes for {entry}, but its data type has {entry.size} bytes",
                 hint="check that the node id belongs to the drive that is configured",
                 **self.where,
             )

@@ -40,6 +40,7 @@ class AxisScale:
         direction: int,
         offset_deg: float,
     ) -> AxisScale:
+        # Encoder counts per turn of the shaft are counts per motor turn times the gear ratio; a turn has 360°.
         density = Fraction(counts_per_revolution * motor_revolutions, shaft_revolutions * 360)
         return cls(density, direction, offset_deg)
 
@@ -56,6 +57,7 @@ class AxisScale:
 
     def rate(self, degrees: float) -> int:
         """Convert a rate in degrees per s or s² to encoder counts per s or s²; the result is at least 1."""
+        # A rate that is rounded to 0 would never move the axis.
         return max(1, round(Fraction(degrees) * self.counts_per_degree))
 
 
@@ -66,6 +68,7 @@ def turn_duration_s(distance_deg: float, speed_deg_per_s: float, acceleration_de
     reach the speed v, the duration is 2*sqrt(d/a).
     """
     distance = abs(distance_deg)
+    # Both ramps together take v²/a of the way.
     if distance * acceleration_deg_per_s2 >= speed_deg_per_s**2:
         return distance / speed_deg_per_s + speed_deg_per_s / acceleration_deg_per_s2
     return 2.0 * math.sqrt(distance / acceleration_deg_per_s2)

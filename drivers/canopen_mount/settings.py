@@ -81,7 +81,7 @@ class AxisSettings(DriverOptions):
     vendor_id: int | None = Field(default=None, ge=0, description="expected 0x1018:01")
     product_code: int | None = Field(default=None, ge=0, description="expected 0x1018:02")
     serial_number: int | None = Field(
-        default=None, ge=0, description="expected 0x1018:04, to distinguish two equal drives"
+        default=None, ge=0, description="expected 0x1018:04, to distinguish two identical drives"
     )
     units: UnitSettings = Field(default_factory=UnitSettings, description="required factors in the drive")
 

@@ -22,6 +22,7 @@ class DriveState(Enum):
     FAULT = "fault"
 
 
+# Mask 0x4F: bits 0 to 3 and 6, in states in which bit 5 (quick stop) has no meaning. Mask 0x6F: bit 5 as well.
 _PATTERNS = (
     (0x4F, 0x00, DriveState.NOT_READY),
     (0x4F, 0x40, DriveState.SWITCH_ON_DISABLED),
@@ -51,6 +52,7 @@ FAULT_RESET = 0x0080
 
 Therefore a controlword with bit 7 clear is written first.
 """
+# Change immediately: a new target takes effect at once, not at the end of the present motion.
 NEW_SET_POINT = ENABLE_OPERATION | 0x0030
 """Controlword of a new set-point: bit 4 (new set-point) and bit 5 (change immediately) set, bit 6 clear (absolute)."""
 START_HOMING = ENABLE_OPERATION | 0x0010

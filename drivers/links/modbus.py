@@ -133,6 +133,7 @@ class ModbusLink:
             try:
                 answer = self._send_with_retries(request, register, idempotent=idempotent)
             except _ExceptionResponse as refusal:
+                # A unit that refuses a function has not carried it out, so the two single requests do not write twice.
                 if refusal.code != ILLEGAL_FUNCTION:
                     raise self._exception_error(refusal.code, register) from None
             else:
@@ -190,6 +191,7 @@ class ModbusLink:
             return self.reconnection.repeat(failure, self._reopen, lambda: self._send_repeatedly(request, register))
 
     def _send_repeatedly(self, request: bytes, register: int) -> bytes:
+        # Errors of the last attempt are passed on.
         for _ in range(self._retries):
             try:
                 return self._send_once(request, register)
@@ -220,6 +222,7 @@ class ModbusLink:
             raise
         self.latency.add(wall_seconds() - started_s)
         function = request[0]
+        # An exception response is the function code with the highest bit set, and a code.
         if answer[0] == function | EXCEPTION_BIT and len(answer) == 2:
             if answer[1] == BUSY:
                 raise LinkTimeout("the controller is busy", register=register, **self.where)

@@ -108,10 +108,12 @@ class RtuTransport:
         started_s, duration_s = self._clock.now(), self.wire_time_s(request)
         try:
             self._clear_line(port)
+            # Stays True if the request fails: its answer may still come.
             self._needs_clearing = True
             answer = self._transact(port, build_frame(self._unit, request), request)
             self._needs_clearing = False
         except LinkTimeout:
+            # On a clock that is not the wall clock, the vain wait takes machine time as well.
             duration_s += self._timeout_s
             raise
         except serial.SerialTimeoutException as error:
@@ -155,6 +157,7 @@ class RtuTransport:
     def _read_frame(self, port: serial.Serial, sent: bytes, deadline_s: float) -> bytes:
         """Read one frame with a valid CRC. The caller must check that its length and function are the expected ones."""
         data = b""
+        # The length becomes known with the third byte; until then, only the bytes that every answer has are requested.
         while (expected := _length(data, sent[1])) is None or len(data) < expected:
             more = self._read_some(port, deadline_s - wall_seconds(), (expected or ADDRESS_AND_CRC) - len(data))
             if not more:
@@ -164,6 +167,7 @@ class RtuTransport:
             if expected is None and len(data) >= ADDRESS_AND_CRC and _length(data, sent[1]) is None:
                 data += self._read_until_quiet(port)
                 break
+        # An adapter that echoes returns the request, whose CRC is valid too.
         if has_valid_crc(data) and data != sent:
             return data
         data += self._read_until_quiet(port)
@@ -240,10 +244,13 @@ def _length(data: bytes, function: int) -> int | None:
     """Return the length in bytes of the answer frame that begins with `data`; None if `data` does not determine it."""
     if len(data) < ADDRESS_AND_CRC or (data[1] & ~EXCEPTION_BIT) != function:
         return None
+    # Address, function, exception code and CRC.
     if data[1] & EXCEPTION_BIT:
         return 5
+    # Address, function, register, count and CRC.
     if function == WRITE:
         return 8
+    # Address, function, byte count, data and CRC.
     return data[2] + 5 if function in (READ, WRITE_AND_READ) else None
 
 

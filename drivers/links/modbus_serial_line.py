@@ -47,6 +47,7 @@ class SerialLine(DriverOptions):
 
         A character consists of a start bit, eight data bits, the parity bit (if there is one) and the stop bits.
         """
+        # A start bit and eight data bits are always there.
         return (9 + (self.parity != "none") + self.stop_bits) / self.baud
 
     @property
@@ -61,6 +62,7 @@ class SerialLine(DriverOptions):
         `request` and `answer` are the lengths in bytes of the request and of the answer. They include the function code
         but neither the address nor the CRC.
         """
+        # Request and answer each carry one address byte and two CRC bytes.
         characters = request + answer + 2 * ADDRESS_AND_CRC
         return 2.0 * self.gap_s + characters * self.character_s
 
@@ -72,6 +74,7 @@ def crc16(data: bytes) -> int:
     """
     crc = 0xFFFF
     for byte in data:
+        # One table look-up does the eight shifts of a byte at once, because the CRC is linear over XOR.
         crc = crc >> 8 ^ _CRC_TABLE[(crc ^ byte) & 0xFF]
     return crc
 

@@ -52,6 +52,8 @@ def answer_length(request: bytes) -> int:
     The length is counted from the function code on, without a checksum. `request` also begins with the function code
     and contains no checksum. Source: MODBUS Application Protocol V1.1b3, 6.3 … 6.17.
     """
+    # Function code, byte count, and two bytes for each register. Both requests have the count of registers to be read
+    # in the same place. The answer to a write repeats address and count: 1 + 2 + 2 bytes.
     if request[0] in (READ, WRITE_AND_READ):
         return 2 + 2 * int.from_bytes(request[3:5], "big")
     return 5

@@ -50,8 +50,8 @@ class LinuxCncSession:
     def open(self) -> None:
         """Start the bridge process and read the properties of the machine.
 
-        Raises LinkLost if LinuxCNC does not run. Raises ConfigurationError if LinuxCNC controls another machine than
-        the settings name, or if it lacks one of the axes X, Y and Z.
+        Raises LinkLost if LinuxCNC does not run. Raises ConfigurationError if the machine that LinuxCNC controls is not
+        the one named in the settings, or if it lacks one of the axes X, Y and Z.
         """
         self.link.open()
         self._properties = self._read_properties()

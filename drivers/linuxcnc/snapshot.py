@@ -121,5 +121,6 @@ _COPIED_FIELDS = (
 
 
 def _subtract_offset(values: Any, offset: Any, mm_per_unit: float) -> Triple:
+    # The bridge reports in machine units, and its positions contain the external offsets.
     x, y, z = ((value - part) * mm_per_unit for value, part in zip(values, offset, strict=True))
     return x, y, z

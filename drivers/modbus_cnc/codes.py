@@ -6,6 +6,7 @@ from enum import IntEnum
 
 from drivers.roles import Activation, MotionState, Permission
 
+# "VC" in ASCII.
 PROTOCOL = 0x5643
 MAJOR_VERSION = 1
 

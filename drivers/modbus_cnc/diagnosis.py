@@ -1,6 +1,6 @@
 """Self-diagnosis of a `modbus-cnc` device for `volcal doctor`. It only reads from the controller.
 
-Diagnosis of a serial line for `volcal doctor`: timing, line faults, and the baud rate of a silent controller.
+On a serial line, it also covers the timing, faults on the line, and the baud rate of a silent controller.
 """
 
 from __future__ import annotations

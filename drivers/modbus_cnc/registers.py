@@ -136,6 +136,7 @@ class BlockLayouts:
         The error states the address of this register.
         """
         status = StatusImage(*self.status.unpack(data))
+        # The upper byte of the version is the major version.
         if status.protocol != PROTOCOL or status.version >> 8 != MAJOR_VERSION:
             raise ProtocolError(
                 f"no volcal register map found: protocol {status.protocol:#06x}, version {status.version:#06x}",
@@ -143,6 +144,7 @@ class BlockLayouts:
                 register=first_register,
                 **where,
             )
+        # The image was written while it was read. The caller reads again, so nothing in it is judged.
         if not status.is_consistent:
             return status
         wrong = _first_illegal(status)
@@ -165,6 +167,7 @@ def _first_illegal(status: StatusImage) -> str:
         return "position"
     if not all(map(math.isfinite, status.latched)):
         return "latched"
+    # The codes count from 0 without gaps.
     if max(status.bank_states) > BankState.DAMAGED:
         return "bank_states"
     return "" if status.temperature_count <= len(status.temperatures) else "temperature_count"

@@ -1,11 +1,7 @@
 """Compensation store with two banks in a Modbus controller.
 
-A table is transferred in blocks through a group of registers (the data window) and is activated in two steps, arm and
-confirm.
-
-Reader of compensation tables in the banks of a controller.
-
-A table is read block by block through the read window, a range of registers that shows one selected block.
+A table is written in blocks through a group of registers (the data window) and is activated in two steps, arm and
+confirm. It is read back block by block through the read window, a range of registers that shows one selected block.
 """
 
 from __future__ import annotations
@@ -231,6 +227,7 @@ class BankReader:
         nx, ny, nz = descriptor.nodes
         blocks = [self._read_block(bank, number + 1) for number in range(block_count(descriptor.nodes))]
         reordered = self._session.layouts.block.reordered
+        # The last block is padded. The CRC covers the counts alone, in big-endian order whatever the order on the wire.
         data = b"".join(reordered(block) for block in blocks)[: nx * ny * nz * 12]
         if crc32(data) != descriptor.crc:
             raise ChecksumMismatch(

@@ -29,6 +29,7 @@ def crc32(data: bytes) -> int:
 
 def block_count(nodes: tuple[int, int, int]) -> int:
     nx, ny, nz = nodes
+    # Three corrections of 4 bytes at each node; -(-a // b) rounds up.
     return -(-nx * ny * nz * 12 // BLOCK_BYTES)
 
 

@@ -149,7 +149,7 @@ class ControllerSettings:
         if self.inches:
             return "$13=1: positions are reported in inches, to 2.5 µm; set $13=0"
         if not self.position_in_machine:
-            return f"$10={self.values[REPORT_MASK]:g}: reports give work and not machine positions; add 1 to $10"
+            return f"$10={self.values[REPORT_MASK]:g}: reports give work positions, not machine positions; add 1 to $10"
         if min(self.values[base + axis] for base in (STEPS, RATE, ACCELERATION, TRAVEL) for axis in range(3)) <= 0.0:
             return "steps, rates, accelerations and travels ($100 to $132) must be positive"
         return ""

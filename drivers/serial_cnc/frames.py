@@ -40,6 +40,7 @@ class CoordinateFrames:
         The correction of the active compensation table is added, and the corrected position is limited to the travel of
         the axes.
         """
+        # A correction near the end of travel may point beyond it, where the controller would stop with an alarm.
         sent = np.clip(self._store.correction.apply(displayed_mm), self._lower, self._upper)
         result: Vector = sent + self._zero
         return result

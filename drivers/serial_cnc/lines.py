@@ -150,9 +150,11 @@ def _status(text: str) -> StatusReport:
         if not separator or name in fields:
             raise GarbledLineError(f"malformed status report {text!r}")
         fields[name] = value
+    # GRBL reports machine or work coordinates, as set by $10; a report without either is garbled.
     report = StatusReport(match[1], int(match[2]) if match[2] else None, fields)
     if report.triple("MPos") is None and report.triple("WPos") is None:
         raise GarbledLineError(f"status report without a position: {text!r}")
+    # Read once here, so that garbled fields are found in the line that contains them.
     report.triple("WCO")
     report.pair("FS")
     report.pair("Ov")

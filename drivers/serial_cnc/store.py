@@ -4,10 +4,8 @@ While a bank is active, the driver corrects commanded positions and removes the 
 `volcal gcode correct` corrects a part program in the same way. A verification therefore measures the accuracy of
 corrected programs. A program that was not corrected runs without compensation.
 
-Application of the correction of a compensation table to a position, and its inverse.
-
-Interpolation is the same as in a controller that stores tables: trilinear between nodes. Outside the grid, the
-correction at the nearest point of the grid's border applies.
+The correction is interpolated as in a controller that stores tables: trilinearly between the nodes. Outside the grid,
+the correction at the nearest point of the grid's border applies.
 """
 
 from __future__ import annotations

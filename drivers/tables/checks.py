@@ -17,6 +17,7 @@ def limits_violation(limits: StoreLimits, table: TableImage) -> str:
         math.prod(table.shape) > limits.max_total_nodes
     ):
         return f"grid {table.shape} exceeds {limits.max_nodes} nodes per axis, or {limits.max_total_nodes} in total"
+    # Both are float64 of a decimal number; only their last bits may differ.
     if not math.isclose(table.resolution_mm, limits.resolution_mm, rel_tol=1e-9):
         return f"one count of the table is {table.resolution_mm} mm, one of the controller {limits.resolution_mm} mm"
     largest_mm = float(np.max(np.abs(table.counts.astype(np.int64)), initial=0)) * table.resolution_mm
@@ -36,6 +37,7 @@ def table_defect(table: TableImage, max_slope: float) -> str:
     if not all(map(math.isfinite, (*table.origin_mm, *table.step_mm))) or min(table.step_mm) <= 0.0:
         return f"origin {table.origin_mm} and step {table.step_mm} do not define a grid"
     for axis, step_mm in enumerate(table.step_mm):
+        # 64 bits, because the difference of two int32 may overflow.
         rise_mm = np.abs(np.diff(table.counts.astype(np.int64), axis=axis)) * table.resolution_mm
         slope = float(np.max(rise_mm, initial=0.0)) / step_mm
         if slope > max_slope:

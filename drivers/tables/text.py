@@ -71,6 +71,7 @@ def parse_table(text: str, **where: str | int) -> TableImage:
             "table file does not end with its checksum line: it is truncated or not a table", hint=RESTAGE_HINT, **where
         )
     body = text[: last.start()]
+    # Bytes that are not ASCII were read as surrogates; encoding gives the original bytes back, and the CRC differs.
     if zlib.crc32(body.encode("utf-8", "surrogateescape")) != int(last[1], 16):
         raise ChecksumMismatch("table file was changed after it was written", hint=RESTAGE_HINT, **where)
     head = HEADER.match(body)
@@ -87,6 +88,7 @@ RESTAGE_HINT = "stage the table again"
 
 def _image(head: re.Match[str], rows: str) -> TableImage:
     nodes = [int(word) for word in head["nodes"].split()]
+    # Read with 64 bits first, so that a number that does not fit 32 bits is found and does not wrap.
     wide = np.array(rows.split(), dtype=np.int64)
     if wide.size != 3 * math.prod(nodes) or rows.count("\n") != math.prod(nodes):
         raise ValueError(f"{rows.count(chr(10))} rows of counts for {nodes} nodes")

@@ -1,8 +1,8 @@
 """Canned cycles G73, G81, G82, G83, G85, G86 and G89 as single moves, in the order of LinuxCNC.
 
-In the three main planes, with G90 and G91, G98 and G99, and repetitions (L). LinuxCNC reaches every corner of a cycle
-exactly. The single moves are therefore separated by a dwell of 0, at which no controller blends two moves, unless the
-program has chosen exact path (G61).
+The cycles work in the three main planes, with G90 and G91, G98 and G99, and repetitions (L). LinuxCNC reaches every
+corner of a cycle exactly. The single moves are therefore separated by a dwell of 0, at which no controller blends two
+moves, unless the program has chosen exact path (G61).
 """
 
 from __future__ import annotations
@@ -65,6 +65,7 @@ class CannedCycles:
             statement.source.refuse("two canned cycles in one block")
         if named and named[0] != self.active:
             self.active, self.sticky = named[0], {}
+        # These codes use the axis words of the block for themselves, so a cycle in effect is not repeated in it.
         if not self.active or (not named and any(code in _WITHOUT_CYCLE for code in codes)):
             return False
         letters = {word.letter for word in statement.words}
@@ -101,10 +102,12 @@ class CannedCycles:
         self._remember(given, AXIS_LETTERS[normal], source)
         path = _Path(list(start), modal.absolute, exact=self.exact)
         self.initial = start[normal] if self.initial is None else self.initial
+        # With G91, R is relative to the initial level, and the depth is relative to R.
         level = self.sticky["R"] + (0.0 if modal.absolute else self.initial)
         bottom = self.sticky["depth"] + (0.0 if modal.absolute else level)
         if level < bottom:
             source.refuse("R of a canned cycle is below the bottom of the hole")
+        # Rise to R before any sideways move, never descend.
         yield from path.move("G0", {normal: max(level, start[normal])})
         clear = level if self.to_r else max(level, self.initial)
         step_mm = {axis: given.get(AXIS_LETTERS[axis], 0.0) for axis in (first, second)}

@@ -10,6 +10,7 @@ from typing import NamedTuple
 from gcode.source import SourceLine
 
 _O_WORD = re.compile(r"/?(?:n[\d.]+)?o(?:<([^<>]*)>|(\d+)|(?=\[))")
+# (?![a-z]) makes the keyword a whole word: a longer word is refused, not read as a keyword with a rest.
 _KEYWORD = re.compile(
     r"(sub|endsub|call|do|while|endwhile|if|elseif|else|endif|break|continue|return|repeat|endrepeat)?(?![a-z])(.*)"
 )
@@ -69,7 +70,8 @@ class ControlFlow:
 
     @classmethod
     def of(cls, lines: Sequence[SourceLine]) -> ControlFlow:
-        """Find the O-words in `lines` and what belongs together. Raises FormatError if they are not nested."""
+        """Find the O-words in `lines`, and pair the beginning of each block with its end. Raises FormatError if blocks
+        overlap instead of being nested."""
         section, stack = cls(lines), _Nesting([])
         for index, source in enumerate(lines):
             if "o" in source.text or "O" in source.text:
@@ -89,6 +91,7 @@ class ControlFlow:
         keyword, label = control.keyword, control.label
         if control.deletable:
             source.refuse("block delete makes an O-word optional", "Remove the slash or the line")
+        # `while` opens a loop, except as the end of the innermost open `do` of the same label.
         if keyword == "while" and stack.innermost("do", label):
             control = control._replace(keyword=END_OF_DO)
             self._pair(stack.close("do", label, source).begin, index)
@@ -111,6 +114,7 @@ class ControlFlow:
 
     def _branch(self, index: int, last: bool, condition: _Open, stack: _Nesting) -> None:
         """Record the next branch or the end of a condition."""
+        # Each branch is linked to the next one, which is tried if its condition is false.
         self.partners[condition.branches[-1]] = index
         if last:
             self.ends.update(dict.fromkeys(condition.branches, index))

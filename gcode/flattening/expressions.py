@@ -33,6 +33,7 @@ _PRECEDENCE = {
 
 
 def _modulo(left: float, right: float) -> float:
+    # fmod has the sign of the dividend, whereas MOD of LinuxCNC is never negative.
     rest = math.fmod(left, right)
     return rest + abs(right) if rest < 0.0 else rest
 
@@ -61,9 +62,11 @@ _FUNCTIONS: dict[str, Callable[[float], float]] = {
     "asin": lambda x: math.degrees(math.asin(x)),
     "cos": lambda x: math.cos(math.radians(x)),
     "exp": math.exp,
+    # FIX rounds down and FUP up, also below zero.
     "fix": math.floor,
     "fup": math.ceil,
     "ln": math.log,
+    # Halves are rounded away from zero; `round` of Python would round them to even numbers.
     "round": lambda x: float(math.trunc(x + math.copysign(0.5, x))),
     "sin": lambda x: math.sin(math.radians(x)),
     "sqrt": math.sqrt,
@@ -104,6 +107,7 @@ class ExpressionReader:
             return float(number[0])
         self.computed = True
         sign = self.next
+        # A sign belongs to its value and precedes every operator: -2**2 is 4.
         if sign in ("+", "-"):
             self.at += 1
             return -self.value() if sign == "-" else self.value()
@@ -144,6 +148,8 @@ class ExpressionReader:
             if operator is None or _PRECEDENCE[operator[0]] < least:
                 return left
             self.at = operator.end()
+            # Precedence climbing: the right operand contains only operators of higher precedence, so operators of the
+            # same precedence are evaluated from left to right.
             right = self._operation(_PRECEDENCE[operator[0]] + 1)
             left = self._checked(partial(_BINARY[operator[0]], left, right), operator[0])
 
@@ -156,6 +162,7 @@ class ExpressionReader:
         if name == "exists":
             return self._exists()
         argument = self.expression()
+        # ATAN has two arguments, ATAN[y]/[x], and gives the angle in all four quadrants.
         if name == "atan":
             self.skip("/")
             return math.degrees(math.atan2(argument, self.expression()))

@@ -37,12 +37,16 @@ from gcode.source import SourceLine
 SubprogramFiles = Callable[[str], Iterable[str] | None]
 """Function that returns the lines of the file of a subprogram with this name, or None if there is no such file."""
 
+# Anything that is not a plain block: parameters, expressions, polar coordinates, O-words, (ABORT), the codes of canned
+# cycles and of their end (G73, G8x, G98, G99), the codes on which cycles depend (G61, G64, M3 to M5), saved states (M70
+# to M73), and M98 and M99. The G and M words may have spaces and leading zeros.
 _SPECIAL = re.compile(
     r"[#\[@^oO]|[gG][ \t]*0*(?:61|64|73|8[0-9]|9[89])(?!\d)|[mM][ \t]*0*(?:[345]|7[0-3]|9[89])(?!\d)|\([ \t]*[aA][bB]"
 )
 _ABORT = re.compile(r"\([ \t]*abort\b", re.IGNORECASE)
 _CALL, _RETURN = 980, 990
 _STATE_CODES = frozenset(STATE_CODES)
+# Whether a recursion or a loop ends cannot be known in advance, hence the limits.
 _MOST_CALLS = 100
 _MOST_LINES = 2_000_000
 _MOST_ARGUMENTS = len(LOCAL_NUMBERS)
@@ -101,6 +105,7 @@ class Flattener:
                 self._percent |= source.text.startswith("%")
                 yield PlainBlock(source, source.text)
             elif self._jumps(source):
+                # Line numbers continue, because `numbered` is the same iterator.
                 rest = [source, *(SourceLine(later, line.rstrip("\r\n")) for later, line in numbered)]
                 yield from self._run(rest)
                 return
@@ -138,6 +143,7 @@ class Flattener:
             self._count(source)
             control = call.section.controls.get(index)
             if control is not None:
+                # M73 restores the state when its subroutine returns, before the caller continues.
                 if control.keyword in ("endsub", "return") and call.saved is not None and call.saved.at_return:
                     yield from self._restore(call.saved, source)
                 self._control(call, index, control, source)
@@ -210,6 +216,8 @@ class Flattener:
             yield PlainBlock(source, block_text(others, statement.comments))
         times = self._cycles.repeats(own, source)
         polar = any(word.letter in "@^" for word in own)
+        # Polar coordinates depend on the position, so each repetition is converted after the one before has been
+        # executed.
         for _ in range(times if polar else 1):
             words = cartesian(own, source, self._modal)
             for text in self._cycles.run(words, 1 if polar else times, source, self._modal):
@@ -237,6 +245,7 @@ class Flattener:
         elif keyword in ("endsub", "return"):
             self._return(control, source)
         elif keyword in ("elseif", "else"):
+            # Execution that runs into `elseif` or `else` comes from a branch that was chosen, and skips the others.
             call.index = section.ends[index] + 1
         elif keyword == "if":
             self._choose(call, index)
@@ -260,6 +269,7 @@ class Flattener:
             if self._expression(control, source):
                 call.index = partners[index]
         elif keyword == "repeat":
+            # The number of passes is computed once, when the loop begins.
             count = call.counts[index] if index in call.counts else round(self._expression(control, source))
             if count > 0:
                 call.counts[index] = count - 1
@@ -281,9 +291,12 @@ class Flattener:
 
     def _leave_loop(self, call: _Call, begin: int, *, again: bool) -> None:
         lines = call.section.loop_lines(begin)
+        # Repeat loops inside begin anew when the program comes back to them. `continue` keeps the count of its own
+        # loop.
         for index in [index for index in call.counts if index in lines and (index != begin or not again)]:
             del call.counts[index]
         end = lines[-1]
+        # The end of the loop decides whether another pass follows.
         call.index = end if again else end + 1
 
     def _expression(self, control: OWord, source: SourceLine) -> float:
@@ -296,6 +309,7 @@ class Flattener:
     def _call(self, control: OWord, source: SourceLine) -> None:
         reader, label = ExpressionReader(source, control.rest, self._parameters), control.label
         if not label:
+            # The label of a call may be computed: o[#100] call.
             label = f"{round(reader.expression())}"
             if not reader.code.startswith("call", reader.at):
                 source.refuse("an O-word with an expression can only be a call")
@@ -361,6 +375,7 @@ class Flattener:
         return self._known[label]
 
     def _find_numbered(self, label: str, source: SourceLine) -> tuple[ControlFlow, int]:
+        # A subprogram number belongs to its file: the file of the innermost call is searched first.
         for call in reversed(self._calls):
             if label in call.section.programs:
                 return call.section, call.section.programs[label]

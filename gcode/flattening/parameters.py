@@ -16,6 +16,8 @@ Key = int | str
 SystemValue = Callable[[Key, SourceLine], float | None]
 
 LOCAL_NUMBERS = range(1, 31)
+# Numbers above 5000 belong to the controller; 5599 is the exception that programs may set (it switches DEBUG messages
+# on and off).
 _LARGEST_FREE = 5000
 _SHOWS_DEBUG = 5599
 
@@ -27,10 +29,11 @@ class _Scope:
 
 
 class ProgramParameters:
-    """Values of the parameters.
+    """Values of the parameters while a part program is interpreted.
 
     `given` contains values that the controller has before the program, by number (`100`) or name (`_depth`).
-    `system_value` returns the value of a parameter in which the controller shows its state, or None for any other.
+    `system_value` returns the value of a parameter in which the controller shows its state, or None for any other
+    parameter.
     """
 
     def __init__(self, given: Mapping[str, float], system_value: SystemValue) -> None:

@@ -37,6 +37,7 @@ def cartesian(words: tuple[BlockWord, ...], source: SourceLine, modal: ModalStat
         distance += polar.get("@", 0.0)
         angle += math.radians(polar.get("^", 0.0))
     end_x, end_y = distance * math.cos(angle), distance * math.sin(angle)
+    # The end is known in absolute coordinates; with G91 the words are its difference from the present position.
     if not modal.absolute:
         end_x, end_y = end_x - x, end_y - y
     return (*others, BlockWord.of("X", end_x), BlockWord.of("Y", end_y))

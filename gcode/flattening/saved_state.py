@@ -11,6 +11,7 @@ from gcode.source import SourceLine
 
 SAVE, INVALIDATE, RESTORE, SAVE_FOR_RETURN = 700, 710, 720, 730
 STATE_CODES = (SAVE, INVALIDATE, RESTORE, SAVE_FOR_RETURN)
+# State of LinuxCNC at the start of a program, for groups that were not mentioned before M70.
 _AT_START = {"spindle": "M5", "coolant": "M9", "overrides": "M48"}
 
 
@@ -43,6 +44,7 @@ class SavedState:
             if not before and group not in ("F", "S"):
                 message = f"the {group} that was in effect when the state was saved is not in the program"
                 source.refuse(message, "State it at the beginning of the program")
+            # M7 and M8 add up, so the present coolant is switched off first.
             if group == "coolant" and before != "M9":
                 yield "M9"
             if before:

@@ -13,6 +13,7 @@ from gcode.flattening.parameters import Key, ProgramParameters
 from gcode.source import SourceLine
 from gcode.words import code_number
 
+# A picometre in mm; no controller resolves more.
 _DECIMALS = 9
 _SHOWN = re.compile(r"\(\s*(?:debug|print|log)\s*,", re.IGNORECASE)
 _SIGNAL = re.compile(r"#<_hal\[[^\[\]<>]*\]>")
@@ -76,6 +77,7 @@ def read_statement(source: SourceLine, parameters: ProgramParameters) -> Stateme
                 continue
             value = reader.value()
             text = reader.code[begin : reader.at]
+            # A number that was written plainly keeps its text, so that its line stays as the programmer wrote it.
             plain = text.replace(".", "").lstrip("+-").isdecimal()
             words.append(BlockWord(letter.upper(), value, text if plain else number_text(value)))
         else:

@@ -12,6 +12,8 @@ from gcode.modal import ModalState
 from gcode.setup import SYSTEMS, Triple
 from gcode.source import SourceLine
 
+# Numbers of the parameters in LinuxCNC: position from 5420, offsets from 5221 in blocks of 20, G92 from 5210, tool from
+# 5400.
 _POSITION, _SYSTEM, _G92_ACTIVE, _TOOL = 5420, 5220, 5210, 5400
 _FIRST_OFFSET, _OFFSET_STEP = 5221, 20
 _AXES = 9

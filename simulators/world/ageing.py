@@ -25,7 +25,7 @@ _SEED_OFFSET_PER_NIGHT = 1_000_003
 
 
 def apply_ageing(machine: TrueMachine, description: MachineDescription, ageing: AgeingSettings) -> TrueMachine:
-    """Return `machine` with the errors to which it has aged by the night with the number `ageing.night`.
+    """Return `machine` with the errors that it has, because of its ageing, in the night with the number `ageing.night`.
 
     Raises ConfigurationError if `ageing.collision` names an error that the machine does not have.
     """
@@ -92,6 +92,7 @@ def _random_walk_change(
     family = family_from_amplitudes(model, description.amplitudes)
     step = process_noise(family, 1e-3 * ageing.walk_um, tool_offset)
     nights = range(1, ageing.night + 1)
+    # One generator for each night: the steps of earlier nights are the same, whichever night is simulated.
     drawn = [generator(ageing.seed, f"walk {night}").standard_normal(model.size) for night in nights]
     return np.asarray(step * np.sum(drawn, axis=0))
 

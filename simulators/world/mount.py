@@ -37,6 +37,7 @@ class RotaryAxis:
         return self._angle + self._direction * self._law.distance_at(now_s)
 
     def turn(self, angle_deg: float, speed_deg_per_s: float | None, now_s: float) -> None:
+        # A turn begins where the axis is, even in the middle of another turn; its speed then starts from zero again.
         self._angle = self.position_deg(now_s)
         travel_deg = angle_deg - self._angle
         speed = min(speed_deg_per_s or math.inf, self._behaviour.speed_deg_per_s)
@@ -83,6 +84,7 @@ class MountPhysics:
         Raises CommandRejected if the angle is outside the axis limits or if the speed is not positive.
         """
         limit = LIMITS_DEG[axis]
+        # Written as a negation, so that NaN is refused too.
         if not abs(angle_deg) <= limit:
             raise CommandRejected(f"{axis} {angle_deg}° is outside ±{limit}°", device="mount")
         if speed_deg_per_s is not None and not speed_deg_per_s > 0.0:

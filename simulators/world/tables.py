@@ -54,8 +54,10 @@ class TableBanks:
         nodes = image.shape
         if any(count > most for count, most in zip(nodes, self.limits.max_nodes, strict=True)):
             raise CommandRejected(f"the table has {nodes} nodes, at most {self.limits.max_nodes} fit")
+        # Three corrections at each node.
         if image.counts.size // 3 > self.limits.max_total_nodes:
             raise CommandRejected(f"the table has more than {self.limits.max_total_nodes} nodes")
+        # Written as a negation, so that NaN is refused too.
         if not all(step > 0.0 for step in image.step_mm):
             raise CommandRejected(f"table steps must be positive, got {image.step_mm}")
         largest = float(np.abs(image.counts).max(initial=0)) * image.resolution_mm

@@ -2,10 +2,8 @@
 
 The bodies are checked at successive instants, because the volume that a turning bar sweeps has no simple shape.
 
-Conservative test for collisions during a turn of a mount.
-
-The test uses spheres that enclose all bodies that turn with the mount. A passed test proves that there is no collision.
-A failed test proves nothing, and the caller must then check the bodies themselves.
+A quick test comes first, with spheres that enclose all bodies that turn with the mount. If it passes, there is no
+collision. If it fails, nothing is proved, and the bodies themselves are checked.
 """
 
 from __future__ import annotations
@@ -59,6 +57,8 @@ def first_turn_crash(workpiece: Workpiece, controller: Controller, start_s: floa
     instant = start_s
     while True:
         tip = _tip(controller, instant)
+        # No point approaches faster than `speed`, so a gap cannot close before gap / speed. Near contact, STEP_MM
+        # bounds the number of checks.
         scene = workpiece.snapshot(instant).scene
         gap_mm = scene.clearance(tip, at_most=_SEARCH_RADIUS_MM)
         pair = _touching(scene, tip) if gap_mm < 0.0 else None
@@ -82,6 +82,7 @@ def first_mount_collision(turning: Workpiece, other: Workpiece, start_s: float, 
     speed = sum(math.radians(piece.mount.max_speed_deg_per_s) * piece.sweep_radius_mm for piece in (turning, other))
     instant = start_s
     while True:
+        # Steps as in `first_turn_crash`; here both workpieces may turn, and their speeds add up.
         gap_mm, pair = _gap(Scene(turning.snapshot(instant).bodies, other.snapshot(instant).bodies))
         if gap_mm <= 0.0:
             return TurnCrash(instant, *pair)
@@ -205,6 +206,8 @@ def _least_gap(centres: Array, radii: Array, bodies: Iterable[Body]) -> float:
 def _distance(points: Array, shape: Shape) -> Array:
     """Return lower bounds (...) in mm of the distances between `points` (..., 3) and the body `shape`."""
     radius = shape.radius if isinstance(shape, Capsule) else 0.0
+    # The axis of a capsule lies in the bounding box shrunk by the radius. The distance from the shrunk box, minus the
+    # radius, is therefore a lower bound.
     beyond = np.maximum(
         np.maximum(np.array(shape.lower) + radius - points, points - np.array(shape.upper) + radius), 0.0
     )

@@ -142,6 +142,7 @@ class Workpiece:
         (the scene) at instant `now_s`.
         """
         bow = round(artefact_bow_mm(self._temperatures, self._thermal_state, now_s), 5)
+        # The snapshot is recomputed for a change of 1 mK or of 10 nm of the bow.
         key = (*self.mount.angles_deg(now_s), round(self.temperature_c(now_s), 3), bow)
         if self._cached is None or self._cached[0] != key:
             self._cached = (key, self._compute_snapshot(*key))
@@ -178,6 +179,8 @@ def true_artefact(certified: Artefact, settings: ArtefactTruthSettings, name: st
     `name` selects the random numbers; each name gives a different artefact.
     """
     rng = generator(settings.seed, name)
+    # With C = V Λ Vᵀ, the vector V √Λ u has the covariance C if u is unit normal. Rounding can make the eigenvalues of
+    # a singular C slightly negative.
     values, vectors = np.linalg.eigh(certified.covariance)
     spread = vectors @ (np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(values.size))
     cte = certified.cte_standard_uncertainty_per_k * float(rng.standard_normal())

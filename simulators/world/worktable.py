@@ -126,6 +126,7 @@ class Worktable:
 
     def _combine(self, parts: tuple[WorkpieceSnapshot, ...]) -> WorkpieceSnapshot:
         first, *others = parts
+        # All workpieces stand on one table, which is in the snapshot of each.
         bodies = (*first.bodies, *(body for part in others for body in part.bodies if body.name != TABLE))
         return WorkpieceSnapshot(
             pose=parts[self._pieces.index(self.workpiece)].pose,

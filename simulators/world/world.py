@@ -85,6 +85,7 @@ class World:
         if instant_s <= self.now:
             return
         crash = self.turn_crash
+        # The state must stop at the instant of the collision, not at the one that was asked for.
         if crash is not None and crash.time_s <= instant_s:
             self._crash_turning(crash)
         self._move_to(instant_s)
@@ -189,6 +190,8 @@ class World:
         self.controller.fail(f"collision: {crash.moving} with {crash.obstacle}")
         for mount in self.mounts.values():
             mount.halt()
+        # `halt` has invalidated the forecast. While the mounts brake in contact, the same collision must not be
+        # recorded again.
         self._turn_crash, self._looked_ahead = None, True
 
     def _record(self, body_a: str, body_b: str) -> None:
@@ -202,6 +205,7 @@ def true_machine(scenario: Scenario) -> TrueMachine:
     settings, truth = scenario.settings, scenario.settings.truth
     if settings.ideal:
         return perfect_machine(scenario.machine, settings.tool)
+    # Numbers of their own, so that nothing else that is drawn changes the machine.
     rng = generator(truth.seed, "machine")
     drawn = draw_machine(
         scenario.machine,
@@ -249,6 +253,7 @@ class MachineTruth:
             if bank not in self._banks:
                 raise InputError(f"bank {bank} holds no table", hint=f"filled banks: {sorted(self._banks)}")
             correction = TableField(self._banks[bank]).at_many(displayed)
+        # The error of the machine is that of the place where the axes really are.
         bare = displayed + correction
         deviation = correction + self.machine.deviation(bare)
         warm = self._warm_field()

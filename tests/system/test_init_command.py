@@ -52,7 +52,7 @@ def test_a_vertical_mill_is_calibrated_in_simulation_with_two_commands(tmp_path:
         (("--travel", "800", "500", "400"), "--class is needed"),
         (("--class", "mill"), "--travel is needed"),
         (("--class", "mill", "--travel", "800", "500", "high"), "'high' is not a travel"),
-        (("--class", "mill", "--travel", "800", "500", "4"), "no travel between"),
+        (("--class", "mill", "--travel", "800", "500", "4"), "not a travel between"),
         ((*MILL, "--chain", "tool-Z-bed-X-workpiece"), "axis Y is missing"),
         ((*MILL, "--controller", "serial-cnc"), "--address is needed"),
         ((*MILL, "--artefact", "nowhere.toml"), "nowhere.toml"),

@@ -328,7 +328,7 @@ def test_strangers_are_kept_out(served: Service) -> None:
         "Content-Type: application/json\r\nConnection: close\r\nContent-Length: 5\r\n\r\n{oops".encode(),
     )
     assert malformed.startswith(b"HTTP/1.1 400")
-    assert b"the body is no JSON" in malformed
+    assert b"the body is not JSON" in malformed
     assert raw(served, b"GET /api/status HTTP/1.1\r\nHost: [::1\r\nConnection: close\r\n\r\n").startswith(
         b"HTTP/1.1 421"
     )

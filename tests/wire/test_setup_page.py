@@ -101,7 +101,7 @@ def test_a_body_that_is_no_json_is_a_bad_request(client: Client) -> None:
     [
         ("machine_class", "lathe", "one of mill"),
         ("controller", "mill", "one of simulated"),
-        ("travel", "800 500 4", "no travel between"),
+        ("travel", "800 500 4", "not a travel between"),
         ("travel", "800 500 high", "'high' is not a travel"),
         ("rapid", "1 2", "three numbers"),
         ("chain", "tool-Z-bed-X-workpiece", "axis Y is missing"),

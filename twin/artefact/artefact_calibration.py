@@ -65,7 +65,7 @@ class ArtefactCalibration:
             f"{UM_PER_MM * self.before.standard_uncertainty_mm:.2g} µm ({self.before.ppm:.2g} ppm, k = 1) before the "
             "measurement. An error of it makes all lengths of artefact and machine wrong in proportion, and nothing "
             "measured with this artefact shows it.",
-            "The coordinates hold in the frame of the artefact file, fitted to its centres; position and direction "
+            "The coordinates refer to the frame of the artefact file, fitted to its centres; position and direction "
             "of the artefact are not part of the calibration.",
             "Machine and artefact were estimated together: do not identify the same ball centres again with this "
             "calibration, which would count them twice.",
@@ -89,8 +89,8 @@ class ArtefactCalibration:
 
 
 def artefact_calibration(balls: Array, factor: Array, errors: Array, covariance: Array) -> ArtefactCalibration | None:
-    """Return the calibration of an artefact, or None if its estimate says nothing about it: the certificate is perfect,
-    or the estimate took it as exact.
+    """Return the calibration of an artefact, or None if the measurement has not changed what is known of it, because
+    the certificate has no uncertainty or was taken as exact.
 
     `balls` (N, 3) in mm are the centres of the artefact file, and `factor` (3N, m) is a matrix L in mm such that L Lᵀ
     is their covariance. The estimate has the errors L u, and `errors` (m,) and `covariance` (m, m) are those of u.

@@ -129,6 +129,7 @@ class Scene(Immutable):
             if met:
                 met &= along_y.met(ly + y0, uy + y1)
             while met:
+                # The lowest bit that is set.
                 last = met & -met
                 pairs.append((i, last.bit_length() - 1))
                 met ^= last

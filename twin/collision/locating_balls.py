@@ -1,6 +1,6 @@
 """Balls by which an artefact that is placed by hand is located.
 
-Before it is located, the artefact may stand anywhere: displaced, turned, or not at all. The probe therefore comes down
+Before it is located, the artefact may be displaced, turned or missing altogether. The probe therefore comes down
 along the stylus, slowly, and only its tip may meet the artefact, because only the tip trips the probe. This module
 selects balls for which that is certain.
 

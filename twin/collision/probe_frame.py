@@ -145,6 +145,8 @@ class ProbeFrame:
 
     @cached_property
     def _signs(self) -> Array:
+        # Each row has a single component, 1 or -1: the rotation permutes the axes and changes signs, so no point gets
+        # rounding errors.
         return np.asarray(self._rows.sum(axis=1))
 
     def _into(self, p: Point) -> Point:

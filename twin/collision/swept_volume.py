@@ -36,8 +36,8 @@ MountAngles = tuple[float, float]
 class SphereCover:
     """Spheres that together enclose all bodies that rotate with the mount (artefact and shaft).
 
-    `centres` (n, 3) contains the centres of the n spheres in mm. They are relative to the mount location (the point
-    where the azimuth axis and the elevation axis meet), in the directions of the axes of the artefact frame.
+    `centres` (n, 3) contains the centres of the n spheres in mm. They are relative to the mount location, in the
+    directions of the axes of the artefact frame.
     `radii` (n,) contains the radii in mm.
     """
 

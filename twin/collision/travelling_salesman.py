@@ -18,6 +18,7 @@ from typing import TypeVar
 Node = TypeVar("Node", bound=Hashable)
 
 MAX_EXACT_NODES = 8
+# Exchanges that gain less are floating-point noise, and could be made and undone for ever.
 _LEAST_GAIN = 1e-9
 
 

@@ -135,6 +135,8 @@ def _exchange_and_fill(search: ExchangeSearch, selection: Selection, room: Feasi
 def _thin_out(search: ExchangeSearch, selection: Selection, wanted: float) -> Selection:
     """Exchange positions and remove positions in turn, until every remaining position is needed to reach the target."""
     while True:
+        # Exchanges may not cost more machine time than the selection has now; the lower VCE that they bring can then
+        # spare a position.
         minutes = search.costs.total(selection.chosen)
 
         def room(chosen: Sequence[int], minutes: float = minutes) -> Mask:
@@ -150,6 +152,7 @@ def _thin_out(search: ExchangeSearch, selection: Selection, wanted: float) -> Se
 def _remove_spare_positions(selection: Selection, wanted: float) -> Selection:
     while len(selection.chosen) > MIN_POSITIONS:
         order, losses = selection.by_rising_loss()
+        # The position whose removal costs least is tried first; if it is needed, so are all others.
         if selection.value + losses[0] > wanted:
             break
         selection = selection.with_removed(order[0])

@@ -50,10 +50,10 @@ class UnseenField:
     removed.
 
     `tool_offset` (3,) is the offset of the tool in mm; `measured` is True if the position set is measured with this
-    tool. `prior_mm` is the rms of the error field, without compensation, of machines drawn from the prior population
-    (the family). `unseen_mm` is the rms of the part of the field that is missing from the estimate of the machine's
-    errors, because the measurements do not show it or because noise hides it. `blind_mm` is the rms of the part of the
-    field that no repetition of the measurements can reveal.
+    tool. `prior_mm` is the rms of the error field, without compensation, of machines drawn from the prior population.
+    `unseen_mm` is the rms of the part of the field that is missing from the estimate of the machine's errors, because
+    the measurements do not show it or because noise hides it. `blind_mm` is the rms of the part of the field that no
+    repetition of the measurements can reveal.
     """
 
     tool: str
@@ -124,7 +124,7 @@ def assess_identifiability(estimate: Estimate, viewpoints: Sequence[EvaluatedToo
 def unseen_covariance(covariance: Array, prior_scale: Array) -> Array:
     """Return the covariance (p, p), in mm and rad, of the difference between the true parameters and their expected
     estimate. A difference remains if the measurements do not show a parameter or if noise hides it. The covariance is
-    taken over random machines of the prior population (the family).
+    taken over random machines of the prior population.
 
     `covariance` (p, p) is the posterior covariance of the parameters. If C is this covariance in units of `prior_scale`
     (p,), the result in the same units is the product C C. A parameter that the family holds at zero does not
@@ -139,7 +139,7 @@ def unseen_covariance(covariance: Array, prior_scale: Array) -> Array:
 
 def blind_covariance(information: Array, prior_scale: Array) -> Array:
     """Return the covariance (p, p), in mm and rad, of the part of the parameters that lies in the null space of the
-    measurements. The covariance is taken over random machines of the prior population (the family).
+    measurements. The covariance is taken over random machines of the prior population.
 
     `information` (p, p) is the information matrix of the measurements for parameters in units of `prior_scale` (p,).
     """

@@ -81,7 +81,7 @@ class SetUp:
 
 
 def layout_for(layout: MeasuringLayout, tool_offset: Array, tool_axis: int) -> MeasuringLayout:
-    """Return the measuring layout for another tool than that of `layout`, with the offset `tool_offset` (3,) in mm. The
+    """Return the measuring layout for a tool other than that of `layout`, with the offset `tool_offset` (3,) in mm. The
     length of the probe changes by the difference of the two tool offsets along the machine axis with the index
     `tool_axis`.
 

@@ -72,8 +72,8 @@ class Procedure:
         return self.layouts[tool]
 
     def with_artefact(self, artefact: Artefact) -> Procedure:
-        """Return the procedure with another artefact. The new artefact is used at all stations, also at those that had
-        their own artefact."""
+        """Return the procedure with a different artefact. The new artefact is used at all stations, also at those that
+        had their own artefact."""
         layouts = {name: replace(layout, artefact=artefact, own_artefacts={}) for name, layout in self.layouts.items()}
         return replace(self, layouts=layouts)
 
@@ -119,6 +119,7 @@ class Procedure:
             tool=np.repeat(tools, counts),
             axis_positions=np.concatenate([nominal_positions for _, nominal_positions in found]),
             covariance=np.broadcast_to(self.covariance_mm2, (total, 3, 3)),
+            # At the reference temperature the artefact has its certified length.
             temperature_c=np.full(total, self.artefact.reference_temperature_c),
             elevation_rad=np.repeat(elevations, counts),
             azimuth_rad=np.repeat([math.radians(position.azimuth_deg) for position in positions], counts),

@@ -1,4 +1,4 @@
-"""Trial changes of a measuring set-up: another probe length, a lateral stylus, more positions, or repetition of all
+"""Trial changes of a measuring set-up: a different probe length, a lateral stylus, more positions, or repetition of all
 positions. Each change could reveal further errors of the machine."""
 
 from __future__ import annotations
@@ -112,8 +112,8 @@ def other_tools(set_up: SetUp) -> tuple[TrialTool, ...]:
 def evaluated_tools(set_up: SetUp, grid: Array) -> tuple[EvaluatedTool, ...]:
     """Return the tools for which the error field over `grid` is evaluated.
 
-    These are the tools of the set-up and some trial tools: the first trial tool of another length, and the first trial
-    tool with a lateral stylus along each of the two machine axes perpendicular to the probe.
+    These are the tools of the set-up and some trial tools: the first trial tool of a different length, and the first
+    trial tool with a lateral stylus along each of the two machine axes perpendicular to the probe.
     """
     used = {position.tool or set_up.first_tool for position in set_up.positions}
     own = [(name, layout.tool_offset_mm, name in used) for name, layout in set_up.procedure.layouts.items()]

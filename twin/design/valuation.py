@@ -22,7 +22,7 @@ from twin.machine.volumetric import VolumetricRms
 
 @dataclass(frozen=True)
 class Valuation:
-    """Expected volumetric error of machines of the prior population (the family), before and after compensation with
+    """Expected volumetric error of machines of the prior population, before and after compensation with
     the measurements of a position set.
 
     `before` is the expected error without compensation, including the misfit. `after` is the expected volumetric

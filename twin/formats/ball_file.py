@@ -175,7 +175,7 @@ def _sigma_um(row: CsvRow, empty: float) -> float:
 
 def _temperature_was_read(rows: list[CsvRow]) -> bool:
     """Return False if the temperature of every row is empty. Raise FormatError if it is empty in some rows only: a
-    temperature that was not read has another uncertainty than one that was."""
+    temperature that was not read has a different uncertainty from one that was."""
     read = [row for row in rows if row.cells["temperature_c"]]
     if 0 < len(read) < len(rows):
         empty = next(row for row in rows if not row.cells["temperature_c"])

@@ -68,9 +68,9 @@ def check_repeated(
 ) -> None:
     """Raise FormatError if the same measurement is given twice.
 
-    The same coordinates, to the last digit, cannot be those of two balls of a position. If they are given for several
-    balls of two positions, at least for half of the balls of one of them, they are one measurement under two position
-    numbers (`numbers`), which the identification would count twice.
+    Two balls of one position cannot have the same coordinates to the last digit. If several balls of two positions
+    (at least half of the balls of one of them) share their coordinates, one measurement is in the file under two
+    position numbers (`numbers`), and the identification would count it twice.
     """
     first_at: dict[tuple[object, ...], int] = {}
     repeated: dict[tuple[int, int], list[tuple[int, int]]] = {}
@@ -81,7 +81,8 @@ def check_repeated(
             continue
         if numbers[first] == numbers[row]:
             message = f"ball {balls[row]} has the coordinates of ball {balls[first]} in row {rows[first].number}"
-            raise rows[row].error(f"position {numbers[row]}: {message}", "ball", "Two balls are never at one place")
+            hint = "Two balls are never at the same place"
+            raise rows[row].error(f"position {numbers[row]}: {message}", "ball", hint)
         repeated.setdefault((numbers[first], numbers[row]), []).append((first, row))
     for (one, other), pairs in repeated.items():
         smaller = min(numbers.count(one), numbers.count(other))
@@ -95,5 +96,5 @@ def _repeated(rows: Sequence[CsvRow], one: int, other: int, pairs: Sequence[tupl
     return rows[row].error(
         f"{message}, beginning with row {rows[first].number} and row {rows[row].number}",
         "position",
-        "Give each measurement once; a bar that was measured again has other coordinates",
+        "Give each measurement once; a bar that was measured again has different coordinates",
     )

@@ -174,7 +174,7 @@ class StoredEstimate:
 
     @property
     def artefact_calibration(self) -> ArtefactCalibration | None:
-        """Ball centres of the artefact as the measurements give them; None if the estimate says nothing about them."""
+        """Ball centres of the artefact as estimated from the measurements; None if they were not estimated."""
         return self.unknowns.artefact_calibration(self.z, self.z_covariance)
 
     def carried_over(self) -> CarriedOverPrior:
@@ -287,7 +287,7 @@ def _text(value: object) -> str:
 
 def parse_estimate(text: str, source: str) -> StoredEstimate:
     """Return the stored estimate given as JSON text. Raise FormatError, which names `source` and the key, if the text
-    is invalid or has another format."""
+    is invalid or has a different format."""
     document = read_json(text, source, EstimateFile, format_name=FORMAT, remedy=_REMEDY)
     try:
         chain = parse_chain(document.model.chain)

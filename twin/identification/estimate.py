@@ -106,7 +106,7 @@ class Estimate:
 
     @cached_property
     def artefact_calibration(self) -> ArtefactCalibration | None:
-        """Ball centres of the artefact as the measurements give them; None if the estimate says nothing about them."""
+        """Ball centres of the artefact as estimated from the measurements; None if they were not estimated."""
         return self.unknowns.artefact_calibration(self.z, self.z_covariance)
 
     @property

@@ -62,8 +62,8 @@ def identify(
 
     `family` is the prior of the parameters. The identification uses its standard deviations as units of the parameters.
     Raise SingularSet if the measurements do not determine the parameters, for example because there are too few
-    positions or too few different balls. Raise DataError if the family belongs to another model, or if a measured ball
-    is not on the artefact. Raise PositionError if the artefact moved while a position was measured; the order of
+    positions or too few different balls. Raise DataError if the family belongs to a different model, or if a measured
+    ball is not on the artefact. Raise PositionError if the artefact moved while a position was measured; the order of
     measuring is that of the rows.
     """
     options = options or Options()

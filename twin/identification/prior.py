@@ -23,8 +23,8 @@ def unknowns_of(family: Family, artefact: Artefact, seen: Observations, options:
     """Return the unknowns of an identification. Their units are the standard deviations of the family or, if an earlier
     estimate is carried over as the prior, the units of this estimate.
 
-    Raise DataError if the prior is zero, has the wrong shape or belongs to another model, or if the weights are equal
-    although the artefact has no certificate.
+    Raise DataError if the prior is zero, has the wrong shape or belongs to a different model, or if the weights are
+    equal although the artefact has no certificate.
     """
     if options.weights == "unit" and not has_certificate(artefact.balls, artefact.covariance):
         raise DataError(

@@ -82,7 +82,7 @@ class CarriedOverPrior:
 
     def for_another_thermometer(self) -> CarriedOverPrior:
         """Return the prior without the knowledge of the error of the artefact's thermometer, for measurements whose
-        temperatures were read by another thermometer or not at all."""
+        temperatures were read by a different thermometer or not at all."""
         blocks, artefact = self.unknowns.blocks, self.unknowns.artefact
         if "thermometer" not in artefact.strain_names:
             return self
@@ -106,7 +106,7 @@ class CarriedOverPrior:
         in the units of the unknowns and for a drift factor of 1.
 
         `process_noise` (p,) contains the standard deviation of the walk of each of the p parameters per night, in mm or
-        rad. A parameter that the prior population (the family) holds at zero stays at zero. The misfit walks in the
+        rad. A parameter that the prior population holds at zero stays at zero. The misfit walks in the
         same proportion as the machine: if the median parameter walks by 5 % of the standard deviation that the
         parameters of this machine have, each coefficient of the misfit walks by 5 % of the estimated standard deviation
         of its kind. Raises DataError if a process noise or the number of nights is negative.

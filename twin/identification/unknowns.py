@@ -156,8 +156,8 @@ class Unknowns:
         return np.asarray(self.scale * z[self.blocks.parameters])
 
     def artefact_calibration(self, z: Array, z_covariance: Array) -> ArtefactCalibration | None:
-        """Return the calibration of the artefact by the vector z (P,) of all unknowns with its covariance (P, P), or
-        None if they say nothing about it."""
+        """Return the calibration of the artefact that follows from the vector z (P,) of all unknowns with its
+        covariance (P, P), or None if the ball centres are not among the unknowns."""
         block, errors = self.blocks.certificate, self.artefact
         return artefact_calibration(errors.balls, errors.certificate, z[block], z_covariance[block, block])
 

@@ -22,8 +22,8 @@ class MachineDescription:
     `model` contains the kinematic chain and the axis ranges. `limits` contains the travel limits in mm, which include
     the axis ranges. `tools` maps the name of each tool to its offset (3,) in mm from the reference point of the ram to
     the stylus centre. `amplitudes` contains the half-widths, as written in the machine file, of the parameters in the
-    family of machines (the prior population). From these half-widths the family can also be built for another Legendre
-    order.
+    family of machines (the prior population). From these half-widths the family can also be built for a different
+    Legendre order.
     """
 
     name: str
@@ -63,7 +63,7 @@ class MachineDescription:
         return self.with_model(ErrorModel(self.model.chain, self.model.ranges_mm, orders, self.model.cross_effect))
 
     def with_model(self, model: ErrorModel) -> MachineDescription:
-        """Return the same machine described by another error model.
+        """Return the same machine described by a different error model.
 
         Raises ModelError if the kinematic chain or the axis ranges of the other model differ.
         """

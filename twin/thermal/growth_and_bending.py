@@ -42,6 +42,7 @@ class GrowthAndBending:
         drifting = [(index, one) for index, one in enumerate(model.parameters) if _drifts(one) and free[index]]
         deviations = [self._per_k(one) * _lever_mm(model, one) for _, one in drifting]
         forms = range(len(drifting) + 3)  # the last three are those of the tip
+        # Scales and the tip follow the first regressor alone; all others follow the further regressors too.
         bending = [form for form, (_, one) in enumerate(drifting) if one.kind != "positioning"]
         further = range(1, regressor_count)
         return MachineDrift(
@@ -93,4 +94,6 @@ def _lever_mm(model: ErrorModel, parameter: Parameter) -> float:
     if parameter.unit == "rad":
         return 1.0
     low, high = model.ranges_mm[AXES.index(parameter.error[2])]
+    # The series are Legendre polynomials of the position normalised to ±1: the strain s over the travel L is s L/2
+    # times P1. The bow is stated in the same unit, as a fraction of half the travel.
     return 0.5 * (high - low)

@@ -76,6 +76,7 @@ class MachineDrift:
         """
         forms = np.empty((len(basis), 3, len(self.deviations)))
         forms[:, :, :-3] = basis[:, :, self.parameter_indices] * self.deviations[:-3]
+        # A shift of the tip is the same everywhere.
         forms[:, :, -3:] = self.deviations[-3:] * np.eye(3)
         return np.asarray(regressors.take(self.regressor, axis=1)[:, None, :] * forms.take(self.form, axis=2))
 
@@ -122,6 +123,7 @@ class DriftEstimate:
         """
         values = self.drift.change(self.z, regressors)
         matrix = self.drift.change_matrix(regressors)
+        # Standard deviations from the diagonal of M C Mᵀ, which rounding can make slightly negative.
         doubts = np.sqrt(np.maximum(np.einsum("fi,ij,fj->f", matrix, self.covariance, matrix), 0.0))
         names = (*self.drift.names, *(f"tip {axis}" for axis in AXES))
         return dict(zip(names, zip(values.tolist(), doubts.tolist(), strict=True), strict=True))

@@ -27,6 +27,7 @@ class MachineTemperatures:
     @property
     def relative_time(self) -> Array:
         """Time since the first instant (n,), as a share of the time between the first and the last instant."""
+        # At least 1 s: a single instant has no duration, and its relative time is 0.
         return np.asarray((self.instants_s - self.instants_s[self._first]) / max(float(np.ptp(self.instants_s)), 1.0))
 
     def since_first(self, *columns: Array) -> Array:
@@ -50,6 +51,7 @@ def smooth_readings(instants_s: Array, values: Array, half_window_s: float = SMO
     total, first, second = (np.einsum("ij,ij->i", weight, away**power) for power in (0, 1, 2))
     level, slope = weight @ values, (weight * away) @ values
     spread = total * second - first**2
+    # With one neighbour, or all at the same instant, no line is determined: their weighted mean remains.
     alone = spread <= 1e-9 * total**2
     safe = np.where(alone, 1.0, spread)
     return np.asarray(np.where(alone, level / total, (second * level - first * slope) / safe))

@@ -153,7 +153,7 @@ def error_budget_of_form(
     """Return the error budget of a calibration procedure for an existing quadratic form `field`.
 
     `field` is the quadratic form of the residual field. `family` is the prior of the identification. Raises DataError
-    if `family` belongs to another error model than `field`.
+    if the error models of `family` and `field` differ.
     """
     if family.model != field.model:
         raise DataError("the family belongs to another model", hint="use the family of the same machine file")

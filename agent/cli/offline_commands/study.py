@@ -58,7 +58,7 @@ class Chosen:
         """Return the identification options for the study called `study`, with the defaults of the settings.
 
         Raises ConfigurationError if the published method is chosen for a study that the publication does not contain,
-        or together with another prior or other weights.
+        or with a different prior or different weights.
         """
         if self.formulation == "published":
             return self._published(study)

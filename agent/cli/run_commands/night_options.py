@@ -69,7 +69,7 @@ def night_table(outcome: Outcome, night: NightReport) -> Table:
     rows = [
         ("last accepted night", f"{night.since}, {night.nights:.1f} nights ago"),
         ("measured", f"{night.positions} positions at station {night.station}, {outcome.machine_minutes:.1f} min"),
-        ("VE then, now, with what is known now", " → ".join(_um(ve) for ve in errors)),
+        ("VE then, now, with a new table", " → ".join(_um(ve) for ve in errors)),
         ("held-out positions", f"{_um(night.held_out_um)}, expected {_um(night.held_out_predicted_um)}"),
         ("against the prediction", "?" if night.chi2_normalised is None else f"χ² {night.chi2_normalised:.2f}"),
         ("changed at once", "; ".join(one.text for one in night.jumped) or "nothing"),

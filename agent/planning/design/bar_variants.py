@@ -1,7 +1,7 @@
 """Variants of the ball bar that a job uses as artefact.
 
-A variant has another number of balls or another tilt of the ball holders. All other properties are those of the bar's
-calibration certificate.
+A variant has a different number of balls or a different tilt of the ball holders. All other properties are those of the
+bar's calibration certificate.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ FIGURE_SIZE_IN = (7.0, 4.2)
 def check_target(path: Path) -> None:
     """Raise InputError if the name of `path` does not end in ``.csv``.
 
-    `volcal calibrate` would not accept a file with another ending as a position set.
+    `volcal calibrate` would not accept a file with a different ending as a position set.
     """
     if path.suffix != ".csv":
         raise InputError("a position set is written as CSV", hint=f"call it {path.stem}.csv", key="--out")

@@ -1,7 +1,6 @@
 """Measuring variants that differ from the settings in the procedure or the equipment.
 
-A variant may have another number of touches per ball, another number of balls, another tilt of the ball holders, or
-other tools.
+A variant may differ in the number of touches per ball, the number of balls, the tilt of the ball holders, or the tools.
 """
 
 from __future__ import annotations

@@ -77,7 +77,7 @@ def nominal_length_mm(artefact: ArtefactSetup) -> float:
 
 
 def turned(vector: Vector, spindle: ProbeFrame) -> Vector:
-    """Return a vector of an artefact for a horizontal spindle as it is for this spindle."""
+    """Return `vector`, which belongs to an artefact for a horizontal spindle, rotated for `spindle`."""
     if not spindle.is_vertical:
         return vector
     x, y, z = vector

@@ -55,8 +55,11 @@ WITH_NOTHING = (
 
 
 def artefact_text(artefact: ArtefactSetup, spindle: ProbeFrame) -> str:
-    """Return the artefact file of a nominal artefact, which explains where the certificate is typed in. The holders
-    point against the stylus: along Z of the artefact frame if it is vertical, else along -Y."""
+    """Return the text of an artefact file with nominal ball centres. Comments in the text explain where the values of
+    the certificate have to be entered.
+
+    The holders point against the stylus: along Z of the artefact frame if the stylus is vertical, else along -Y.
+    """
     text, kind = TomlText(), artefact.calibration.kind
     text.comment(f"{FRAMES[artefact.shape]} All keys: docs/reference/files.md.")
     text.comment({CERTIFICATE: WITH_CERTIFICATE, LENGTH: WITH_LENGTH}.get(kind, WITH_NOTHING))

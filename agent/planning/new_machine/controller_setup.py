@@ -84,7 +84,7 @@ class ControllerSetup:
         """Connect to the controller of the machine in `directory`, and return the open device with the travel and the
         dynamics that it reports. Nothing is moved or written.
 
-        Raises DeviceError if it cannot be reached, and ConfigurationError if it is no machine.
+        Raises DeviceError if it cannot be reached, and ConfigurationError if its driver is not a machine.
         """
         # The list of drivers is slow to import, and the help text of the set-up needs only the kinds of controller.
         from drivers.registry import DeviceContext, create_device  # noqa: PLC0415

@@ -49,8 +49,8 @@ class SetupField(Generic[Answer]):
     `meaning` turns the text into the value and raises DataError if it has none; `check` raises DataError if the value
     contradicts the other answers. `reported` is the value that a controller reports, `proposal` the text of the
     proposal, and `origin` says where the proposal comes from. `shown` returns the text of the value in a given set-up,
-    or None if the set-up does not contain it. `key` and `comment` are the name and the explanation of the value in the
-    files.
+    or None if the set-up does not contain the value. `key` and `comment` are the name and the explanation of the value
+    in the files.
     """
 
     flag: str
@@ -91,7 +91,7 @@ class SetupField(Generic[Answer]):
         return value
 
     def refuse_malformed(self, text: str) -> None:
-        """Raise InputError, which names the option, if `text` has not the form of a value."""
+        """Raise InputError, which names the option, if `text` does not have the form of a value."""
         parts = text.split()
         try:
             if len(text) > LONGEST_TEXT or not text.isprintable():

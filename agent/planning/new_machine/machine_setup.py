@@ -111,7 +111,7 @@ def check_travel(axis: str, low: float, high: float) -> None:
     """Raise DataError if the range of an axis position is not the travel of a machine tool in mm."""
     if not SHORTEST_TRAVEL_MM <= high - low <= LONGEST_TRAVEL_MM:
         raise DataError(
-            f"{axis} from {low:g} to {high:g} mm is no travel between {SHORTEST_TRAVEL_MM:g} and "
+            f"{axis} from {low:g} to {high:g} mm is not a travel between {SHORTEST_TRAVEL_MM:g} and "
             f"{LONGEST_TRAVEL_MM:g} mm",
             hint="state lengths in mm, or LOWEST:HIGHEST axis position",
             key="travel",

@@ -54,7 +54,8 @@ class NewSetup:
 
     @property
     def named_set(self) -> str | None:
-        """Position set that needs no file: the one that a person named, else the proposed one if it exists by name."""
+        """Name of a position set that needs no file: the one chosen by a person, else the proposed one if it has a
+        name."""
         if self.position_set is not None:
             return self.position_set
         suits = self.artefact.is_bar and self.stations.elevation_deg == FULL_ELEVATION_DEG

@@ -41,7 +41,8 @@ def points_up(spindle: ProbeFrame) -> bool:
 
 
 def holder_direction(spindle: ProbeFrame) -> Vector:
-    """Return the direction of holders and shaft in the artefact frame, which is against the stylus: along Z if the
-    stylus is vertical, so the artefact stands above the azimuth axis or hangs below it; else -Y, which the azimuth of
-    the mount turns towards the stylus."""
+    """Return the direction of holders and shaft in the artefact frame, which is opposite to the stylus.
+
+    If the stylus is vertical, the direction is along Z, and the artefact stands above the azimuth axis or hangs below
+    it. Otherwise it is -Y, and the azimuth of the mount turns it towards the stylus."""
     return (0.0, 0.0, -float(spindle.sign)) if spindle.is_vertical else BESIDE

@@ -23,8 +23,8 @@ from twin.collision.swept_volume import SphereCover, TurnSweep, cover_turning_bo
 @dataclass(frozen=True)
 class ArtefactPose:
     """Nominal pose of the artefact. It consists of the two angles of the mount that holds it (azimuth and elevation)
-    and of the mount's location `across_mm` (3,) in the workpiece frame, without its coordinate along the station axis
-    (the axis along which the stations stand), which is 0.
+    and of the mount's location `across_mm` (3,) in the workpiece frame, without its coordinate along the station axis,
+    which is 0.
 
     `station` is the station's number if other mounts or artefacts stand in the workspace. It is 0 if the paths are the
     same at all stations.

@@ -113,7 +113,7 @@ def fit(identification: IdentificationData) -> Rows:
 
 
 def artefact_calibration(calibration: ArtefactCalibration | None) -> dict[str, Any] | None:
-    """Return the table and the notes of the ball centres as the run measured them, or None if it says nothing about
+    """Return the table and the notes of the ball centres as the run measured them, or None if it yields nothing about
     them."""
     if calibration is None:
         return None

@@ -135,7 +135,8 @@ def validity(data: ReportData, identification: IdentificationData) -> list[str]:
     if len(used) == 1:
         first = (
             f"Measured with one tool offset, {lengths}. The result and its table are valid for this offset only: with "
-            "another stylus or tool the rotations have another lever arm, and some could not be determined separately."
+            "another stylus or tool the rotations have a different lever arm, and some could not be determined "
+            "separately."
         )
     else:
         first = f"Measured with {len(used)} tool offsets, {lengths}; the table is made for {point(data.tool_offset)}."

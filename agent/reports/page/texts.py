@@ -1,5 +1,5 @@
-"""Texts of the report, as a mapping from keys to English texts. A report in another language is rendered with another
-mapping.
+"""Texts of the report, as a mapping from keys to English texts. A report in another language is rendered with a
+different mapping.
 
 Values in braces are filled in by the section that shows the text. Units, ISO names and numbers are not part of the
 mapping.

@@ -69,7 +69,8 @@ class PendingCalibration:
         planned = plan_run(own, self.kind, start, procedure, watch)
         if not slot.holds(planned.preflight.machine_minutes):
             raise PlanRefused(
-                f"the verification takes {planned.preflight.machine_minutes:.1f} min, the slot has {slot.minutes:g}",
+                f"the verification takes {planned.preflight.machine_minutes:.1f} min, "
+                f"but the slot has {slot.minutes:g}",
                 hint=f"a full calibration is needed since run {pending.run_id}: give a slot for it",
             )
         return planned

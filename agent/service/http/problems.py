@@ -108,7 +108,7 @@ def _first_of(error: RequestValidationError) -> Problem:
     key = ".".join(str(part) for part in first["loc"] if part != "body")
     malformed = first["type"] == "json_invalid"
     status = HTTPStatus.BAD_REQUEST if malformed else HTTPStatus.UNPROCESSABLE_ENTITY
-    detail = f"the body is no JSON: {first['ctx']['error']}" if malformed else str(first["msg"])
+    detail = f"the body is not JSON: {first['ctx']['error']}" if malformed else str(first["msg"])
     return Problem(
         title=status.phrase,
         status=status,

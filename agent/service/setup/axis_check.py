@@ -89,7 +89,7 @@ class JogObservation:
 
 
 class ProbeFinding(Enum):
-    """State of the check of the probe input with a finger."""
+    """State of the check of the probe input, for which a person deflects the stylus with a finger."""
 
     WAITING = "waiting"
     HELD = "held"

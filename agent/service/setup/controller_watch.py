@@ -38,7 +38,7 @@ class ControllerWatch:
     def connect(self, controller: ControllerSetup) -> AxisLimits:
         """Connect to the controller, and return the travel and the dynamics that it reports.
 
-        Raises DeviceError if it cannot be reached, and ConfigurationError if it is no machine.
+        Raises DeviceError if it cannot be reached, and ConfigurationError if its driver is not a machine.
         """
         with self._lock:
             self._close()

@@ -214,8 +214,8 @@ class SetupSession:
     def write(self) -> Document:
         """Write the reviewed files into the directory, all or none, and return the document.
 
-        Raises InputError if there are files of a machine already, if the files are not those that were reviewed, or if
-        an axis or the probe was found wrong.
+        Raises InputError if the directory already contains the files of a machine, if the files are not those that were
+        reviewed, or if an axis or the probe was found wrong.
         """
         with self._lock:
             self._refuse_wrong_machine()

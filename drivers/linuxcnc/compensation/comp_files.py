@@ -1,8 +1,8 @@
 """Compensation store that uses the screw-compensation files of LinuxCNC.
 
 LinuxCNC reads these files when it starts. It then corrects each axis as a function of the position of this axis only;
-this is the own-axis part of a table. The directory of the store contains the following files for each bank, and one
-link:
+this is the own-axis part of a table. The rest of the table, which depends on the positions of the other axes, is lost.
+The directory of the store contains the following files for each bank, and one link:
 
 ::
 
@@ -10,11 +10,6 @@ link:
     bank1/x.comp y.comp z.comp  own-axis part of this table, COMP_FILE_TYPE = 0
     bank1/bank.hal              HAL signals with the number of the bank and the CRC-32 of its table
     acting -> bank1             link named in the INI file; activation changes only this link
-
-Reduction of a compensation table to its own-axis part.
-
-In the own-axis part, the correction of each axis depends only on the position of this axis. The rest of the table,
-which depends on the positions of the other axes, is lost.
 """
 
 from __future__ import annotations
@@ -64,7 +59,7 @@ class CompFileStore:
         """Return the whole table of a bank as it was staged (written); None for bank 0 (no compensation) or an empty
         bank.
 
-        For the active bank, the method raises ChecksumMismatch if LinuxCNC was started with another table, and
+        For the active bank, the method raises ChecksumMismatch if LinuxCNC was started with a different table, and
         StoreError if there is no table.
         """
         if bank == 0:

@@ -50,6 +50,7 @@ class Word:
             return False
         if BITS.fullmatch(self.text) or BITS.fullmatch(other.text):
             return self.text == other.text
+        # Decimal and not float: 1300.0 equals 1300, and no digit is lost.
         return Decimal(self.text) == Decimal(other.text)
 
     def __str__(self) -> str:

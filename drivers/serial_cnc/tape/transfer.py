@@ -5,16 +5,13 @@ The direction of a transfer is named from the side of the controller, and DC1 to
 READ, and then reads the tape. It sends DC3 to stop the sender when its memory is full, and DC1 to restart the sender.
 It sends DC3 at the end. The operator starts both transfers at the controller; this module cannot start them.
 
-Source: FANUC B-63503EN/02, section 5.3, for the meaning of DC1 to DC4. According to this section, DC3 stops a sender
-within ten characters.
-
-Tape characters: seven-bit ISO code with even parity in the eighth bit, and the four device controls.
-
-With its parity bit, the device control DC3 is 0x93. The XON/XOFF handshake of a serial driver recognises DC3 only as
-0x13. Package `tape` therefore handles flow control itself.
+The characters of a tape have a seven-bit ISO code with even parity in the eighth bit. With its parity bit, DC3 is 0x93,
+but the XON/XOFF handshake of a serial driver recognises DC3 only as 0x13. This module therefore handles flow control
+itself.
 
 Source: FANUC B-63503EN/02 (Series 0i connection manual, hardware), 5.3 "RS-232-C interface": one parity bit among
-eight, DC1 to DC4, two stop bits; ISO 646 for the characters.
+eight, the meaning of DC1 to DC4, a sender that stops within ten characters after DC3, two stop bits. ISO 646 for the
+characters.
 """
 
 from __future__ import annotations
@@ -34,6 +31,7 @@ from drivers.serial_cnc.tape.blocks import MARK, Tape, TapeError, differences, p
 
 CHARACTERS_PER_WRITE = 8
 """Number of characters sent between two checks for DC3, which must stop the sender within ten characters."""
+# Start bit, eight bits including parity, two stop bits.
 BITS_OF_CHARACTER = 11
 POLL_S = 0.02
 MAX_SHOWN_DIFFERENCES = 5
@@ -93,6 +91,8 @@ class PunchRead:
                 chunk = data[sent : sent + CHARACTERS_PER_WRITE]
                 self._port.write(chunk)
                 sent += len(chunk)
+                # The bytes leave an output buffer at the baud rate. Without this wait, a DC3 would come after far more
+                # than ten characters had been handed to the buffer.
                 self._clock.sleep(len(chunk) * BITS_OF_CHARACTER / self._settings.baud)
             self._obey_flow_control(sent, ended=True)
         except Exception as error:
@@ -265,6 +265,7 @@ Character = str | DeviceControl | ParityFault
 
 def with_even_parity(byte: int) -> int:
     """Return the seven-bit code `byte` with even parity in bit 7."""
+    # Bit 7 is set if the seven bits contain an odd number of ones.
     return byte | (byte.bit_count() & 1) << 7
 
 

@@ -2,8 +2,9 @@
 
 The drive implements the power drive state machine, profile position mode, homing mode, quick stop, fault reaction and
 limits. The position unit is the encoder count unless the factor group (the objects for resolution, gear ratio and feed)
-defines another unit. Speeds are in position units per second. The drive has no motion of its own: the physics of the
-mount advances with the world's clock. The drive reads the state of the mount on every request and after every advance.
+defines a different unit. Speeds are in position units per second. The drive has no motion of its own: the physics of
+the mount advances with the world's clock. The drive reads the state of the mount on every request and after every
+advance.
 """
 
 from __future__ import annotations

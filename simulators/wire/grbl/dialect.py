@@ -14,7 +14,7 @@ from typing import Final
 class GrblDialect:
     """Behaviour of one controller firmware. `line_buffer` and `receive_buffer` are in bytes.
 
-    The other fields are True for grblHAL and False for GRBL 1.1.
+    The fields of type bool name what grblHAL does and GRBL 1.1 does not.
     """
 
     name: str

@@ -3,11 +3,10 @@
 A pseudo-terminal has no transmission time and no baud rate, so this module simulates both. In lockstep, the agent
 controls time: it advances the machine's clock by the transmission time, and an answer is sent at once. With any other
 clock, the request, the silence before the answer and the answer take as long as on a cable. A client that has set
-another baud rate gets no answer.
+a different baud rate gets no answer.
 
-Modbus RTU frames received by a controller. The module finds the end of a request and checks its validity.
-
-Source: MODBUS over Serial Line Specification V1.02, 2.5.1.1 and 6.2.2. The CRC is computed bit by bit as in 6.2.2.
+The module also finds the end of a request among the received bytes, and checks its validity. Source: MODBUS over Serial
+Line Specification V1.02, 2.5.1.1 and 6.2.2. The CRC is computed bit by bit as in 6.2.2.
 """
 
 from __future__ import annotations

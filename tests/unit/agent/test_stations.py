@@ -44,7 +44,7 @@ def without_artefacts(document: dict[str, Any]) -> None:
     [
         (lambda d: d["roles"]["mount"].pop("2"), "roles.mount.2", "station 2 has no mount"),
         (lambda d: d["roles"]["mount"].update({"3": "mount-2"}), "roles.mount.3", "no station 3"),
-        (lambda d: d["roles"]["mount"].update({"2": "mount-1"}), "roles.mount.2", "mount of station 1 already"),
+        (lambda d: d["roles"]["mount"].update({"2": "mount-1"}), "roles.mount.2", "is already the mount of station 1"),
         (lambda d: d["roles"].update(mount="mount-1"), "stations.artefacts", "need a mount at every station"),
         (lambda d: d["stations"]["artefacts"].pop(), "stations.artefacts", "1 artefacts for 2 stations"),
         (lambda d: d["stations"].update(artefacts=[BARS[0]] * 2), "stations.artefacts", "same artefact"),

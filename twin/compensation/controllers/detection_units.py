@@ -65,6 +65,7 @@ def smallest_unit(values_mm: list[Array], choices: ExportOptions, most: int, *, 
     for magnification in tried:
         unit = CountUnit(choices[DETECTION_UNIT_UM], magnification)
         numbers = [unit.counts(one) for one in values_mm]
+        # The positions are rounded and not the increments, so that rounding errors do not add up along the axis.
         if increments:
             numbers = [np.diff(one) for one in numbers]
         largest = max(int(np.abs(one).max(initial=0)) for one in numbers)

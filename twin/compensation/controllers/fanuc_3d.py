@@ -27,6 +27,7 @@ from twin.compensation.table import CompensationTable
 from twin.machine.kinematic_chain import AXES
 
 MOST_POINTS = 25
+# The largest value of a signed byte.
 LARGEST_COUNT = 127
 _FIRST_PARAMETER = {"points": 10803, "reference": 10806, "magnification": 10809, "interval": 10812}
 
@@ -42,6 +43,8 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     steps = even_steps(table)
     reference = reference_point(table, choices[REFERENCE_MM])
     indices = reference_nodes(table, reference)
+    # The controller adds nothing at its reference point. The constant that is missing is a translation of the whole
+    # workspace.
     wanted = table.corrections - table.at(reference[None, :])[0]
     unit = smallest_unit([wanted], choices, LARGEST_COUNT, increments=False)
     counts = unit.counts(wanted)
@@ -61,6 +64,7 @@ def _points(table: CompensationTable, counts: CountArray) -> str:
     """
     lines = ["number,x_mm,y_mm,z_mm,x_counts,y_counts,z_counts"]
     shape = table.corrections.shape[:3]
+    # ndindex varies its last index fastest; with the shape reversed this is X.
     for number, index in enumerate(np.ndindex(shape[::-1]), start=1):
         k, j, i = index
         position = ",".join(f"{nodes[at]:.10g}" for nodes, at in zip(table.nodes, (i, j, k), strict=True))

@@ -58,6 +58,7 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     unit = smallest_unit([one.values for one in profiles], choices, LARGEST_INCREMENT, increments=True)
     counts = [unit.counts(one.values) for one in profiles]
     written = [replace(one, values=unit.values(count)) for one, count in zip(profiles, counts, strict=True)]
+    # The compensation numbers of the three axes follow each other.
     firsts = np.concatenate(([0], np.cumsum([len(count) for count in counts])))[:3].tolist()
     with_q = choices[CONTROL] == "30i"
     files = {
@@ -75,6 +76,7 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
 def _data(counts: list[CountArray], firsts: list[int], identifier: str) -> str:
     lines = ["%"]
     for count, first in zip(counts, firsts, strict=True):
+        # Number n is the increment over the interval that ends at node n. No interval ends at the first node: 0.
         increments = np.diff(count, prepend=count[:1])
         numbered = enumerate(increments.tolist(), start=_DATA_NUMBERS_FROM + first)
         lines += [f"N{number}{identifier}P{value}" for number, value in numbered]
@@ -96,6 +98,8 @@ def _parameters(
     """
     rows = {
         3620: [first + index for first, index in zip(firsts, indices, strict=True)],
+        # The interval of the number first + 1 ends at the second node. If the reference point is the first node, no
+        # interval lies in the negative direction.
         3621: [first + min(index, 1) for first, index in zip(firsts, indices, strict=True)],
         3622: [first + len(count) - 1 for first, count in zip(firsts, counts, strict=True)],
         3623: [unit.magnification] * 3,

@@ -1,5 +1,5 @@
-"""Checks of a compensation table against the requirements of a controller, and resampling of the table to another grid.
-The requirements concern the spacing, the number of points and the size of the values.
+"""Checks of a compensation table against the requirements of a controller, and resampling of the table to a different
+grid. The requirements concern the spacing, the number of points and the size of the values.
 """
 
 from __future__ import annotations
@@ -44,6 +44,7 @@ def even_steps(table: CompensationTable) -> tuple[float, float, float]:
     table.
     """
     steps = []
+    # Lines of the CSV file from one node of an axis to the next: Z varies fastest.
     lines = (len(table.y) * len(table.z), len(table.z), 1)
     for axis, nodes, stride in zip(AXES, table.nodes, lines, strict=True):
         step = float(nodes[-1] - nodes[0]) / (len(nodes) - 1)
@@ -72,6 +73,7 @@ def _thinned(count: int, most: int) -> int:
 
     With a subset of the original points the steps remain round numbers.
     """
+    # Every k-th point, both ends included: n - 1 divides count - 1.
     return next(n for n in range(min(count, most), 1, -1) if (count - 1) % (n - 1) == 0)
 
 
@@ -95,6 +97,7 @@ def resample_table(table: CompensationTable, points: Shape) -> CompensationTable
         y=y,
         z=z,
         corrections=table.at(positions).reshape(*points, 3),
+        # The interpolated mark is the total weight of the marked nodes.
         extrapolated=(marks.at(positions)[:, 0] > 1e-9).reshape(points),
     )
 

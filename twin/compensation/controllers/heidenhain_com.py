@@ -67,6 +67,8 @@ def _stem(bank: str, name: str) -> str:
 def _com(stem: str, row: tuple[Profile, ...], names: Names, sign: int) -> str:
     lines = [f"BEGIN {stem}.COM MM", _line("NR", "AXISPOS", "BACKLASH", *names)]
     for index, position in enumerate(row[0].nodes.tolist()):
+        # The control moves against the error in the table: the error is minus the correction. Adding 0.0 turns -0.0
+        # into 0.0.
         cells = [f"{-sign * float(one.values[index]) + 0.0:+.{_DECIMALS}f}" for one in row]
         lines.append(_line(str(index), f"{position:+.4f}", "", *cells))
     return "\n".join([*lines, "[END]"]) + "\n"

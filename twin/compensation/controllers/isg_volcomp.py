@@ -85,16 +85,20 @@ def _motions(identified: TableEstimate, table: CompensationTable) -> Motions:
     x, y, z = series
     a, b, c = model.squareness(values)
     low = np.array(model.ranges_mm)[:, 0]
+    # An axis e that is turned by the small angles θ moves along e + θ × e: Y turned by c about Z leans to -X, Z turned
+    # by a and b leans to (b, -a).
     y[0] -= c * (table.y - low[1])
     z[0] += b * (table.z - low[2])
     z[1] -= a * (table.z - low[2])
     # the model measures lever arms from the lower ends of the ranges, the kernel from the zeros of the axes
     levers = _lower_ends_of_arms(model)
     for one, lever in zip(series, levers, strict=True):
+        # θ × (arm - lever) = θ × arm - θ × lever: the second part becomes a displacement.
         one[:3] -= np.cross(one[3:].T, lever).T
     v, w = cross_arguments(model, table.y[:, None], table.z[None, :])
     terms = model.cross_terms(values)
     twist = (terms["c0"] + terms["c1"] * w) * v
+    # The roll of Z turns about X, and -(twist, 0, 0) × lever = (0, twist l_z, -twist l_y).
     crossed = {
         "EYZ": (terms["b0"] + terms["b1"] * w + terms["b2"] * w**2) * v + twist * levers[2, 2] + z[1],
         "EZZ": z[2] - twist * levers[2, 1],
@@ -129,6 +133,8 @@ def _without_rigid_motion(motions: Motions, source: ExportSource) -> Motions:
     from_x, from_y, from_z = (
         nodes - anchor for nodes, anchor in zip(table.nodes, table.anchor.point_mm.tolist(), strict=True)
     )
+    # The rigid motion shift + turn × r is the sum of the turns of (x, 0, 0), (0, y, 0) and (0, 0, z), one for each
+    # axis. Each axis takes the component of the shift along itself.
     x, y, z = (one.copy() for one in motions.series)
     x[0] -= shift_x
     x[1] -= turn_z * from_x
@@ -166,6 +172,8 @@ def _deviation(motions: Motions, model: ErrorModel, table: CompensationTable, ax
         if letter == "Z":
             for name, values in motions.crossed.items():
                 moved[_row(name)] += _over_y_and_z(values, table, axis_positions)
+        # As in the forward model: the lever arm of an axis contains the travels of the axes nearer to the tool, and its
+        # own travel only if the axis moves the workpiece.
         carried = arm.copy()
         arm[:, axis] += axis_positions[:, axis]
         lever = carried if letter in model.chain.tool_side else arm
@@ -178,6 +186,7 @@ def _over_y_and_z(values: Array, table: CompensationTable, axis_positions: Array
 
     The values are given at the nodes of Y and Z. Beyond the outermost nodes they are constant.
     """
+    # Bilinear: first along Z in every row of Y nodes, then along Y between the two rows.
     over_z = np.array([np.interp(axis_positions[:, 2], table.z, row) for row in values])
     inside = np.clip(axis_positions[:, 1], table.y[0], table.y[-1])
     cell = np.clip(np.searchsorted(table.y, inside, side="right") - 1, 0, len(table.y) - 2)
@@ -219,6 +228,7 @@ def _number(name: str, value: float) -> str:
 
 
 def _list_file(model: ErrorModel) -> str:
+    # The kernel counts the axes from the workpiece to the tool.
     chain = "".join(reversed(model.chain.axes))
     rows = (
         ("workpiece_axes", str(len(model.chain.workpiece_side))),

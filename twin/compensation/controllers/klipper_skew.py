@@ -59,6 +59,7 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
 def _factors(matrix: Array) -> tuple[float, float, float]:
     """Return Klipper's factors xy, xz and yz, as written, with which it adds the shears of `matrix`."""
     xy, xz, yz = (-shear for shear in shears(matrix))
+    # Klipper adds -(f_xz - f_xy·f_yz) z to x, which is -xz·z for f_xz = xz + xy·yz.
     return round(xy, _DECIMALS), round(xz + xy * yz, _DECIMALS), round(yz, _DECIMALS)
 
 
@@ -69,6 +70,8 @@ def _added(factors: tuple[float, float, float]) -> Array:
 
 def _lengths(factor: float) -> tuple[float, float, float]:
     """Return AC, BD and AD of a rhombus with a skew factor: Klipper computes the factor as tan(90° - angle at A)."""
+    # With A the angle at A: factor = cot A, so cos A = factor / √(1 + factor²). The diagonals of a rhombus with the
+    # side s follow from the law of cosines: AC² = 2 s² (1 + cos A) and BD² = 2 s² (1 - cos A).
     cosine = factor / math.hypot(1.0, factor)
     return SIDE_MM * math.sqrt(2.0 + 2.0 * cosine), SIDE_MM * math.sqrt(2.0 - 2.0 * cosine), SIDE_MM
 

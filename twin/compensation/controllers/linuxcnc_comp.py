@@ -49,6 +49,7 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
 def _rows(profile: Profile, sign: int) -> str:
     lines = []
     for nominal, value in zip(profile.nodes.tolist(), profile.values.tolist(), strict=True):
+        # The trim that LinuxCNC adds is nominal - forward, so forward = nominal - correction.
         position = f"{nominal - sign * value:.{_DECIMALS}f}"
         lines.append(f"{nominal:.6f} {position} {position}")
     return "\n".join(lines) + "\n"

@@ -35,6 +35,7 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
         return np.asarray(axis_positions @ added.T, dtype=np.float64)
 
     share = require_worthwhile(source.table, correction, "matrixkins")
+    # Rounded values, so that `correction` describes exactly what the file does.
     written = np.eye(3) + choices.sign * added
     lines = [
         f"setp matrixkins.C_{joint.lower()}{axis.lower()} {written[row, column] + 0.0:.{_DECIMALS}f}\n"

@@ -62,6 +62,8 @@ def compensation_loss(source: ExportSource, correction: Correction) -> Compensat
     tool_points = grid + table.tool_offset
 
     def left(added: Array) -> VolumetricRms:
+        # The table moves the axes by `added`. What remains is this displacement plus the error at the place where the
+        # axes are then.
         return volumetric_error(tool_points, added + _deviation(source, grid + added))
 
     return CompensationLoss(
@@ -97,6 +99,7 @@ def require_same_machine(source: ExportSource, resolution_mm: float = 0.0) -> No
         return
     hint = "Give table and estimate of the same run: --table RUN_FOLDER reads both"
     for axis, nodes, (low, high) in zip("XYZ", table.nodes, identified.model.ranges_mm, strict=True):
+        # 1 nm, for the rounding of the nodes in the file.
         if nodes[0] < low - 1e-6 or nodes[-1] > high + 1e-6:
             message = f"the table from {nodes[0]:g} to {nodes[-1]:g} mm exceeds the range of the estimate's machine"
             raise DataError(message, hint=hint, axis=axis)
@@ -122,6 +125,7 @@ def rigid_difference(source: ExportSource) -> tuple[Array, Array]:
         )
     points = np.stack(np.meshgrid(*table.nodes, indexing="ij"), axis=-1).reshape(-1, 3)
     added = table.corrections.reshape(-1, 3)
+    # The same sum as in `compensation_loss`, at the nodes, and a least-squares fit of the six rigid fields to it.
     left = added + exact_deviation(identified.model, points + added, table.tool_offset, identified.parameters)
     fields = rigid_fields(points, table.anchor.point_mm, 1.0)
     motion = np.linalg.lstsq(fields.reshape(-1, 6), left.reshape(-1), rcond=None)[0]

@@ -104,6 +104,8 @@ def select_terms(
         return 1 if term.factor is None else tables_per_product or 1
 
     chosen, used = [], 0
+    # The terms are orthogonal, so the mean squares that they remove add up, and the best choice is by mean square per
+    # table.
     for term in sorted(found, key=lambda each: -(each.rms_mm**2) / tables(each)):
         if term.rms_mm >= LEAST_RMS_MM and used + tables(term) <= most_tables:
             chosen.append(term)
@@ -150,6 +152,7 @@ def describe_term(first: int, second: int | None, output: int) -> str:
 
 def _zero_at(kept: tuple[Term, ...], reference: Array) -> tuple[Term, ...]:
     """Shift the first main effect of each output axis so that the sum of its terms is zero at the reference point."""
+    # A constant is a rigid translation, so it may be moved between the terms of an axis without any loss.
     there, shifted_axes, result = sum_of_terms(kept, reference[None, :])[0], set(), []
     for term in kept:
         if term.factor is None and term.output not in shifted_axes:
@@ -180,9 +183,11 @@ def _products(table: CompensationTable, first: int, second: int, output: int) ->
     left, sizes, right = np.linalg.svd(plane, full_matrices=False)
     found = []
     for size, one, other in zip(sizes.tolist(), left.T, right, strict=True):
+        # The factor is normalised to the largest value 1, and the profile takes the size.
         peak = float(other[np.argmax(np.abs(other))])
         profile = Profile(first, table.nodes[first], size * peak * one)
         factor = Profile(second, table.nodes[second], other / peak)
+        # The singular vectors have the length 1, so the rms of a product over the n nodes of the plane is σ / √n.
         found.append(Term(output, profile, factor, size / float(np.sqrt(plane.size))))
     return found
 

@@ -102,7 +102,9 @@ def _as_written(term: Term) -> _WrittenTerm:
     """
     if term.factor is None:
         return _WrittenTerm(term, (round_profile(term.profile, DECIMALS),))
+    # With p the profile and f the factor, s p and f / s have the same largest value for s = √(max|f| / max|p|).
     scale = float(np.sqrt(np.abs(term.factor.values).max() / np.abs(term.profile.values).max()))
+    # Each of the two pairs gives half the product, hence √½ in both functions.
     first, second = (
         round_profile(replace(one, values=np.sqrt(0.5) * by * one.values), _PRODUCT_DECIMALS)
         for one, by in ((term.profile, scale), (term.factor, 1.0 / scale))
@@ -126,6 +128,7 @@ def _ini(kept: Sequence[_WrittenTerm], names: Names, steps: tuple[float, float, 
         against = _times(first, -choices.sign)
         if second:
             for sign in (1, -1):
+                # The multiplier is named by its index plus 1, and it is the next table: index + 2.
                 lines += _table(index, _times(against, sign), output, names, steps, index + 2, _PRODUCT_DECIMALS)
                 lines += _table(index + 1, _times(second[0], sign), output, names, steps, 0, _PRODUCT_DECIMALS)
                 index += 2

@@ -55,6 +55,8 @@ def _ini(name: str, profile: Profile, step: float, choices: ExportOptions) -> st
         f"; axis {AXES[profile.axis]}; load with MD32700 $MA_ENC_COMP_ENABLE[{encoder},{name}]=0",
         f"; MD38000 $MA_MM_ENC_COMP_MAX_POINTS[{encoder},{name}] must be at least {len(profile.nodes)}",
     ]
+    # A positive value moves the axis in the negative direction, so the correction is written with the opposite sign.
+    # Adding 0.0 turns -0.0 into 0.0.
     for index, value in enumerate((-choices.sign * profile.values + 0.0).tolist()):
         lines.append(f"$AA_ENC_COMP[{encoder},{index},{name}]={value:.{DECIMALS}f}")
     lines += [

@@ -97,7 +97,7 @@ def max_free_balls(unknowns: Unknowns) -> int:
 
 def prior_with_free_balls(unknowns: Unknowns, known: JointPrior | None, balls: Sequence[int]) -> JointPrior:
     """Return the prior of the unknowns in which the centres of `balls` are not certified. `known` is the joint prior of
-    other unknowns than the errors of the certificate, or None."""
+    unknowns other than the errors of the certificate, or None."""
     blocks = unknowns.blocks
     if known is None:
         known = JointPrior(np.zeros(blocks.size, dtype=bool), np.zeros((blocks.size,) * 2), np.zeros(blocks.size))

@@ -1,9 +1,9 @@
 """Comparison of the measured shape of the artefact with its certificate, before anything is identified.
 
 Each position is fitted rigidly, as it stands in the file and under the mistakes that are made with such files: values
-in another unit, a mirrored axis, ball numbers counted from the other end. Errors of the machine are some micrometres,
-such mistakes far more. Where they are not, because the certificate is symmetrical within some micrometres, nothing is
-said. The rigid fits compare medians over balls, so that a few wrong balls do not decide.
+in a different unit, a mirrored axis, ball numbers counted from the other end. Errors of the machine are some
+micrometres, such mistakes far more. Where they are not, because the certificate is symmetrical within some micrometres,
+nothing is said. The rigid fits compare medians over balls, so that a few wrong balls do not decide.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ _MIN_BALLS = 3
 
 
 def check_shape(observations: Observations, artefact: Artefact) -> None:
-    """Raise DataError if the measured points have the shape of the artefact in another unit, in a mirror, or with the
-    balls counted from the other end. Raise PositionError if only the balls of a single position are counted from the
-    other end.
+    """Raise DataError if the measured points have the shape of the artefact in a different unit, in a mirror, or with
+    the balls counted from the other end. Raise PositionError if only the balls of a single position are counted from
+    the other end.
 
     Balls that the artefact does not have are left to the identification, which refuses them.
     """
