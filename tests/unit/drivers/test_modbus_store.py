@@ -17,7 +17,7 @@ from drivers.clock import VirtualClock
 from drivers.errors import ChecksumMismatch, LinkLost, ProtocolError, ReadBackMismatch, StoreError
 from drivers.modbus_cnc.device import ModbusCnc
 from drivers.modbus_cnc.settings import ModbusCncSettings
-from drivers.modbus_cnc.table import block_count, data_blocks, table_bytes
+from drivers.modbus_cnc.store import block_count, data_blocks, table_bytes
 from drivers.roles import Activation, TableImage
 
 
