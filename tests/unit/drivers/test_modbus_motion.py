@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -36,12 +35,6 @@ from drivers.roles import (
 )
 
 START = (100.0, 200.0, 300.0)
-
-
-@pytest.fixture
-def cnc(plc: FakePlc, clock: VirtualClock) -> Iterator[ModbusCnc]:
-    with opened(plc, clock) as device:
-        yield device
 
 
 def test_it_implements_four_roles(cnc: ModbusCnc) -> None:

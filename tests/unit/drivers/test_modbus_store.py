@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import closing
 from dataclasses import replace
 from typing import Any
 
@@ -13,10 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from modbus_plc import FakePlc
 
-from drivers.clock import VirtualClock
 from drivers.errors import ChecksumMismatch, LinkLost, ProtocolError, ReadBackMismatch, StoreError
 from drivers.modbus_cnc.device import ModbusCnc
-from drivers.modbus_cnc.settings import ModbusCncSettings
 from drivers.modbus_cnc.store import block_count, data_blocks, table_bytes
 from drivers.roles import Activation, TableImage
 
@@ -24,23 +20,6 @@ from drivers.roles import Activation, TableImage
 def table_of(shape: tuple[int, int, int], seed: int = 1) -> TableImage:
     counts = np.random.default_rng(seed).integers(-5000, 5000, (*shape, 3), dtype=np.int32)
     return TableImage((0.0, -1.5, 2.25), (68.4, 100.0, 10.0), 0.0001, counts)
-
-
-@pytest.fixture
-def plc() -> Iterator[FakePlc]:
-    with closing(FakePlc()) as server:
-        yield server
-
-
-@pytest.fixture
-def cnc(plc: FakePlc) -> Iterator[ModbusCnc]:
-    clock = VirtualClock()
-    clock.subscribe(plc.advance_to)
-    settings = ModbusCncSettings(host="127.0.0.1", port=plc.port, timeout_s=5.0)
-    device = ModbusCnc(settings, clock, "cnc")
-    device.open()
-    with closing(device):
-        yield device
 
 
 def test_limits_say_what_the_store_can_represent(cnc: ModbusCnc) -> None:
