@@ -31,17 +31,15 @@ from twin.machine.volumetric import QuadraticForm, evaluation_grid
 
 RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
 MODEL = ErrorModel.uniform(parse_chain("tool-Y-Z-X-bed-workpiece"), RANGES, 5)
-FAMILY = family_from_amplitudes(
-    MODEL,
-    {
-        "positioning_um": [8.0, 5.0, 3.0, 1.8, 1.1],
-        "straightness_um": [5.5, 3.3, 2.0, 1.2],
-        "rotation_urad": [4.6, 2.8, 1.7, 1.0, 0.6],
-        "squareness_urad": 9.0,
-        "cross_displacement_um": 4.5,
-        "cross_rotation_urad": 3.0,
-    },
-)
+AMPLITUDES: dict[str, float | list[float]] = {
+    "positioning_um": [8.0, 5.0, 3.0, 1.8, 1.1],
+    "straightness_um": [5.5, 3.3, 2.0, 1.2],
+    "rotation_urad": [4.6, 2.8, 1.7, 1.0, 0.6],
+    "squareness_urad": 9.0,
+    "cross_displacement_um": 4.5,
+    "cross_rotation_urad": 3.0,
+}
+FAMILY = family_from_amplitudes(MODEL, AMPLITUDES)
 TOOL = np.array([0.0, 250.0, 0.0])
 MACHINES = 10_000
 SAMPLE = 12

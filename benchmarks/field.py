@@ -11,19 +11,15 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Callable
-from time import perf_counter
 
 import numpy as np
 
+from benchmarks.family import MODEL, RANGES, TOOL, seconds
 from twin.arrays import Array
-from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import exact_deviation
-from twin.machine.kinematic_chain import AXES, parse_chain
+from twin.machine.kinematic_chain import AXES
 from twin.machine.volumetric import QuadraticForm, evaluation_grid
 
-RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
-MODEL = ErrorModel.uniform(parse_chain("tool-Y-Z-X-bed-workpiece"), RANGES, 5)
-TOOL = np.array([0.0, 250.0, 0.0])
 LOOP_SAMPLE = 400
 ROUNDS = 15
 
@@ -91,12 +87,6 @@ def plain_loop(points: Array, parameters: Array) -> Array:
             place = place @ transforms[AXES.index(letter)]
         deviation[row] = (place @ tool)[:3] - point - TOOL
     return deviation
-
-
-def seconds(work: Callable[[], object]) -> float:
-    start = perf_counter()
-    work()
-    return perf_counter() - start
 
 
 def run() -> dict[str, float]:

@@ -30,6 +30,7 @@ from time import perf_counter
 import numpy as np
 from scipy.optimize import least_squares
 
+from benchmarks.family import AMPLITUDES, RANGES, TOOL
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact, ball_bar
 from twin.artefact.mount_geometry import MountGeometry
@@ -41,16 +42,6 @@ from twin.machine.forward_model import deviation_basis, exact_deviation
 from twin.machine.kinematic_chain import parse_chain
 from twin.machine.machine_population import Family, family_from_amplitudes
 
-TOOL = np.array([0.0, 250.0, 0.0])
-RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
-AMPLITUDES: dict[str, float | list[float]] = {
-    "positioning_um": [8.0, 5.0, 3.0, 1.8, 1.1],
-    "straightness_um": [5.5, 3.3, 2.0, 1.2],
-    "rotation_urad": [4.6, 2.8, 1.7, 1.0, 0.6],
-    "squareness_urad": 9.0,
-    "cross_displacement_um": 4.5,
-    "cross_rotation_urad": 3.0,
-}
 NOISE_MM = 1e-3
 ROUNDS = 41
 ROUNDS_OF_CHOICE = 5

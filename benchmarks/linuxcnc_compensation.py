@@ -56,7 +56,7 @@ def in_motion_mm(controller: Controller, feed_mm_per_min: int) -> float:
     controller.at(*START_MM)
     controller("mdi", "G4 P0.1")
     x, y, z = END_MM
-    controller.start_sampling(6000)
+    controller.start_sampling()
     controller("mdi", f"G53 G1 F{feed_mm_per_min} X{x} Y{y} Z{z}")
     motor = controller.samples()[:, :3]
     nominal = motor.copy()

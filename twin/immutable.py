@@ -10,5 +10,5 @@ class Immutable:
 
     __slots__ = ()
 
-    def __deepcopy__(self, memo: object) -> Self:
+    def __deepcopy__(self, _: object) -> Self:
         return self

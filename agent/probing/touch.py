@@ -13,6 +13,9 @@ from agent.execution.steps import MoveTo, Plan, Point, TouchTowards
 from agent.probing.probing_parameters import ProbingParameters, Search
 from drivers.roles import Touch, Vector
 
+SAME_POSITION_MM = 1e-6
+"""Distance in mm below which two axis positions are the same; no controller resolves it."""
+
 
 @dataclass(frozen=True)
 class TouchResult:
@@ -66,7 +69,8 @@ class PlainTouchPath:
         start, above = touch.start, before_ball(touch, self.probing)
         feed = touch.search.guarded_feed_mm_per_s
         yield MoveTo(f"{key}/above", point(above), feed)
-        if np.abs(start - above).max() > 0.0:
+        # A touch along the stylus starts in the plane itself, but for the rounding of the two positions.
+        if np.abs(start - above).max() > SAME_POSITION_MM:
             yield MoveTo(f"{key}/start", point(start), feed)
 
     def retract(self, key: str, touch: PlannedTouch, latched_mm: Point | None) -> Plan[None]:

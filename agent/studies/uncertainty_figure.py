@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from agent.figures.style import BLUE, GRID, INK, ORANGE, QUIET, SKY, from_zero
 from agent.studies.monte_carlo import ErrorSample
 from agent.studies.plane_map import PLANE_SHAPE, Plane, draw_plane, map_nodes
-from twin.machine.motion_uncertainty import motion_uncertainty
+from twin.machine.error_model import motion_uncertainty
 from twin.machine.volumetric import VolumetricRms
 from twin.uncertainty.error_budget import ErrorBudget
 from twin.units import UM_PER_MM

@@ -22,31 +22,31 @@ from twin.units import UM_PER_MM
 @dataclass(frozen=True)
 class DriftLimits:
     """Limits of the displacement of a position's first ball between its two measurements. If the displacement exceeds
-    `event_mm`, its journal record contains a note. If it exceeds `fault_mm`, MeasurementFault is raised."""
+    `warning_mm`, its journal record contains a note. If it exceeds `limit_mm`, MeasurementFault is raised."""
 
-    event_mm: float
-    fault_mm: float
+    warning_mm: float
+    limit_mm: float
 
 
 def judge_drift(key: str, drift_mm: Array, limits: DriftLimits) -> Plan[None]:
     """Record the displacement `drift_mm` (3,) of a position's first ball between its two measurements. Raises
-    MeasurementFault if its length exceeds `limits.fault_mm`."""
+    MeasurementFault if its length exceeds `limits.limit_mm`."""
     distance_mm = float(np.linalg.norm(drift_mm))
     yield Record(f"{key}/drift", "event", _payload(drift_mm, distance_mm, limits))
-    if distance_mm > limits.fault_mm:
+    if distance_mm > limits.limit_mm:
         raise MeasurementFault(
             f"the first ball moved by {UM_PER_MM * distance_mm:.1f} µm within the position, "
-            f"allowed {UM_PER_MM * limits.fault_mm:.1f} µm",
+            f"allowed {UM_PER_MM * limits.limit_mm:.1f} µm",
             hint="let machine and artefact settle, check that the mount is clamped",
             step=key,
         )
 
 
 def _payload(drift_mm: Array, distance_mm: float, limits: DriftLimits) -> Mapping[str, object]:
-    payload: dict[str, object] = {"drift_um": UM_PER_MM * drift_mm, "limit_um": UM_PER_MM * limits.fault_mm}
-    if distance_mm > limits.event_mm:
+    payload: dict[str, object] = {"drift_um": UM_PER_MM * drift_mm, "limit_um": UM_PER_MM * limits.limit_mm}
+    if distance_mm > limits.warning_mm:
         payload["note"] = (
             f"the first ball moved by {UM_PER_MM * distance_mm:.1f} µm within the position, "
-            f"more than {UM_PER_MM * limits.event_mm:.1f} µm"
+            f"more than {UM_PER_MM * limits.warning_mm:.1f} µm"
         )
     return payload

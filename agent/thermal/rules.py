@@ -28,8 +28,8 @@ def settling_of(temperature: TemperatureSettings) -> SettlingRules:
 
 
 def drift_limits_of(procedure: ProcedureSettings, temperature: TemperatureSettings) -> DriftLimits:
-    fault_um = procedure.drift_limit_um
-    return DriftLimits(MM_PER_UM * min(temperature.drift_warning_um, fault_um), MM_PER_UM * fault_um)
+    limit_um = procedure.drift_limit_um
+    return DriftLimits(MM_PER_UM * min(temperature.drift_warning_um, limit_um), MM_PER_UM * limit_um)
 
 
 def drift_prior_of(temperature: TemperatureSettings) -> DriftPrior:

@@ -1,4 +1,4 @@
-"""Identification of a foreign machine, compared with the truth."""
+"""Identification of a foreign machine, and what it states, compared with the truth."""
 
 from __future__ import annotations
 
@@ -7,25 +7,24 @@ from typing import Protocol
 
 import numpy as np
 
+from benchmarks.family import AMPLITUDES
 from campaigns.foreign.artefact import ForeignBar
 from campaigns.foreign.machine import CHAIN, GRID, RANGES, TOOL, ForeignMachine, aligned_rms_um
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.identification import Estimate, Options, identify_by_evidence, predicted_vce
+from twin.identification.predicted import expected_vce, field_forms
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import exact_deviation
 from twin.machine.kinematic_chain import parse_chain
 from twin.machine.machine_population import Family, family_from_amplitudes
+from twin.uncertainty.coverage import FieldError
+from twin.uncertainty.volumetric_distribution import volumetric_distributions
+from twin.uncertainty.volumetric_limits import limits_of_form
 
-AMPLITUDES: dict[str, float | list[float]] = {
-    "positioning_um": [8.0, 5.0, 3.0, 1.8, 1.1],
-    "straightness_um": [5.5, 3.3, 2.0, 1.2],
-    "rotation_urad": [4.6, 2.8, 1.7, 1.0, 0.6],
-    "squareness_urad": 9.0,
-    "cross_displacement_um": 4.5,
-    "cross_rotation_urad": 3.0,
-}
+NOMINAL = 0.95
+_POINTS, _JOINT = 100, 12
 
 
 @dataclass(frozen=True)
@@ -90,3 +89,52 @@ def turned_about_the_bar(points: np.ndarray, angle_rad: float) -> np.ndarray:
     """Return points (n, 3) rotated about the X axis, which is the axis of the bar."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.asarray(points @ np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]]))
+
+
+@dataclass(frozen=True)
+class ComparisonWithTruth:
+    """True errors of a machine, and the statements of the program about them.
+
+    `before_um` is the true volumetric error (VE), `after_um` the true volumetric error with compensation (VCE), and
+    `predicted_um` the predicted one, all after the best rigid motion is removed. `ve_held` and `vce_held` are True if
+    the stated 95 % limits contain the true value. `vce_rank` is the probability of a smaller VCE than the true one,
+    according to the program. `field_held` is the share of the components of the error at 100 random points that their
+    95 % intervals contain, and `joint_held` is True if the joint 95 % region of 12 of these points contains all their
+    components.
+    """
+
+    before_um: float
+    after_um: float
+    predicted_um: float
+    ve_held: bool
+    vce_held: bool
+    vce_rank: float
+    field_held: float
+    joint_held: bool
+
+    @property
+    def ratio(self) -> float:
+        """True over predicted error with compensation."""
+        return self.after_um / self.predicted_um
+
+
+def compare_with_truth(machine: ForeignMachine, estimate: Estimate, rng: np.random.Generator) -> ComparisonWithTruth:
+    """Compare `estimate` with the truth over the whole travel of the machine."""
+    before_um, after_um = true_error_um(machine), true_error_um(machine, estimate)
+    forms = field_forms(estimate, GRID, TOOL)
+    limits = limits_of_form(estimate, forms[1])
+    stated = volumetric_distributions(estimate, GRID, TOOL)
+    low, high = np.array(machine.ranges).T
+    points = rng.uniform(low, high, (_POINTS, 3))
+    levels = FieldError.of(estimate, machine, points).pointwise_levels()
+    joint = FieldError.of(estimate, machine, points[:_JOINT]).joint_level()
+    return ComparisonWithTruth(
+        before_um=before_um,
+        after_um=after_um,
+        predicted_um=expected_vce(estimate, forms).aligned_um,
+        ve_held=limits.ve_um[0] <= before_um <= limits.ve_um[1],
+        vce_held=limits.vce_um[0] <= after_um <= limits.vce_um[1],
+        vce_rank=stated.vce.aligned.at_most((1e-3 * after_um) ** 2),
+        field_held=float((levels <= NOMINAL).mean()),
+        joint_held=joint <= NOMINAL,
+    )

@@ -33,10 +33,9 @@ import numpy as np
 
 from benchmarks.places import write_csv
 from campaigns.foreign.artefact import S3, STATIONS_MM, measure_at, tilted_bar
-from campaigns.foreign.comparison import ComparisonWithTruth, compare_with_truth
 from campaigns.foreign.machine import KIND_NAMES, ForeignMachine, foreign_machine
 from campaigns.foreign.nights import fused_nights, walk
-from campaigns.foreign.score import family_of
+from campaigns.foreign.score import ComparisonWithTruth, compare_with_truth, family_of
 from twin.identification import identify_by_evidence
 
 TRIALS = ("S3", "designed", "nights")

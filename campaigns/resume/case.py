@@ -28,6 +28,7 @@ from agent.runs.resume.resume import resume
 from agent.runs.run_context import RunHooks
 from agent.runs.session import RunResult, carry_out
 from agent.settings.schema import Settings
+from campaigns.aborts.case import LENIENT, POSITIONS
 from drivers.clock import Clock, VirtualClock
 from simulators.backend import SimulatedMachineDevice
 from simulators.scenario import ScenarioDocument, build_scenario
@@ -200,7 +201,7 @@ def prepare_case(directory: Path) -> tuple[Settings, ResumeMachine]:
     The case has three measured positions and one held-out position. The machine's errors are so large and the
     limits (gates) for a new compensation table so wide that the table is always written and verified.
     """
-    (directory / "positions.csv").write_text("station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n1,90,45\n")
+    (directory / "positions.csv").write_text(POSITIONS)
     machine = str(SHIPPED_CONFIGURATION / "machines" / "case-study.toml")
     artefact = str(SHIPPED_CONFIGURATION / "artefacts" / "ball-bar-1500.toml")
     scenario = {
@@ -222,19 +223,8 @@ def prepare_case(directory: Path) -> tuple[Settings, ResumeMachine]:
         "stations": {"places_mm": scenario["stations_mm"], "standing_at": 1},
         "probe_check": {"limit_um": 3.0, "touches": 5},
         "procedure": {"position_set": str(directory / "positions.csv"), "stations": [1]},
-        "verification": {
-            "stations": [1],
-            "positions_deg": [[20.0, 25.0]],
-            "max_missing_fraction": 1.0,
-            "max_chi2": 1e3,
-        },
-        "gates": {
-            "min_degrees_of_freedom": 1,
-            "max_chi2": 1e3,
-            "max_unmeasured_fraction": 10.0,
-        },
+        **LENIENT,
         "identification": {"order": 5},
-        "table": {"step_mm": [500.0, 325.0, 500.0]},
     }
     world = World(build_scenario(ScenarioDocument.model_validate(scenario), directory))
     return Settings.model_validate(document), ResumeMachine(world)

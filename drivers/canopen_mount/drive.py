@@ -16,8 +16,7 @@ from drivers.canopen_mount.emergency import emergency_text
 from drivers.canopen_mount.factors import verify_factors
 from drivers.canopen_mount.identity import verify_identity
 from drivers.canopen_mount.limits import SoftLimits, blocking_limit, describe_unreached_target, read_soft_limits
-from drivers.canopen_mount.node import DriveNode
-from drivers.canopen_mount.node_monitor import NodeMonitor
+from drivers.canopen_mount.node import DriveNode, NodeMonitor
 from drivers.canopen_mount.scale import turn_duration_s
 from drivers.canopen_mount.settings import AxisSettings, HomingSettings
 from drivers.canopen_mount.states import ENABLE_TRANSITIONS, DriveState, StateTransition, drive_state

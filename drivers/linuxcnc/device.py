@@ -1,21 +1,26 @@
-"""Device for LinuxCNC with the roles `Machine`, `Probe`, `CompensationStore` and `Thermometer`."""
+"""Device for LinuxCNC with the roles `Machine`, `Probe`, `CompensationStore` and `Thermometer`.
+
+Touches use the probing command G38.3. The latched position is corrected for the delay between the trip of the probe and
+the latching of the position.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 
 import numpy as np
 
-from drivers.errors import ConfigurationError, LinkError, LinkLost
+from drivers.controller_device import ControllerDevice
+from drivers.errors import ConfigurationError, LinkError, PermissionMissing, ProtocolError
 from drivers.linuxcnc.bridge_link import BridgeLink
 from drivers.linuxcnc.compensation import LinuxCncStore, create_store
 from drivers.linuxcnc.diagnosis import diagnose
-from drivers.linuxcnc.motion import LinuxCncMotion, MdiMotionKind
-from drivers.linuxcnc.probing import LinuxCncProbing
+from drivers.linuxcnc.motion import LinuxCncMotion, LinuxCncMotionResult, MdiMotionKind
 from drivers.linuxcnc.session import LinuxCncSession
 from drivers.linuxcnc.settings import LinuxCncSettings
-from drivers.linuxcnc.snapshot import ON
+from drivers.linuxcnc.snapshot import ON, Snapshot
 from drivers.registry import DeviceContext
 from drivers.roles import (
     AxisLimits,
@@ -23,14 +28,13 @@ from drivers.roles import (
     MachineStatus,
     Miss,
     ProbeStatus,
-    StoreLimits,
-    TableImage,
     Touch,
     Vector,
 )
+from drivers.straight_move import distance_to_segment_mm, limit_along_direction
 
 
-class LinuxCnc:
+class LinuxCnc(ControllerDevice["_Parts"]):
     """Machine controlled by LinuxCNC; motion, probing and compensation tables share one bridge process.
 
     Motion and probing are possible only while the device is open.
@@ -45,8 +49,8 @@ class LinuxCnc:
             device=context.name,
         )
         self._session = LinuxCncSession(link, context.clock, settings)
+        super().__init__(self._session.where)
         self._store = _store(settings, link, context)
-        self._parts: _Parts | None = None
 
     def open(self) -> None:
         """Start the bridge process, and home the joints if this is possible without a motion.
@@ -136,34 +140,10 @@ class LinuxCnc:
     def touch_towards(self, target_mm: Vector, *, feed_mm_per_s: float) -> Touch | Miss:
         return self._open.probing.touch_towards(target_mm, feed_mm_per_s)
 
-    def store_limits(self) -> StoreLimits:
-        return self._tables.store_limits()
-
-    def active_bank(self) -> int:
-        return self._tables.active_bank()
-
-    def pending_bank(self) -> int | None:
-        return self._tables.pending_bank()
-
-    def read_table(self, bank: int) -> TableImage | None:
-        return self._tables.read_table(bank)
-
-    def stage(self, bank: int, table: TableImage) -> None:
-        self._tables.stage(bank, table)
-
-    def activate(self, bank: int) -> None:
-        self._tables.activate(bank)
-
     def temperatures_c(self) -> Mapping[str, float]:
         names = self._session.settings.temperatures
         values = self._session.link.get_all(list(names.values()))
         return {name: float(value) for name, value in zip(names, values, strict=True)}
-
-    @property
-    def _open(self) -> _Parts:
-        if self._parts is None:
-            raise LinkLost("the device is not open", hint="open it first", **self._session.where)
-        return self._parts
 
     @property
     def _tables(self) -> LinuxCncStore:
@@ -196,3 +176,69 @@ class _Parts:
     def __init__(self, session: LinuxCncSession) -> None:
         self.motion = LinuxCncMotion(session)
         self.probing = LinuxCncProbing(session, self.motion)
+
+
+class LinuxCncProbing:
+    """Touches by the probing command G38.3, which raises no alarm if the probe does not trip.
+
+    The field `tripped` of the snapshot of LinuxCNC's state distinguishes a touch from a miss (no trip).
+    """
+
+    def __init__(self, session: LinuxCncSession, motion: LinuxCncMotion) -> None:
+        self._session = session
+        self._motion = motion
+
+    def status(self) -> ProbeStatus:
+        snapshot = self._session.read_snapshot()
+        loaded, healthy = self._loaded(snapshot), self._session.probe_healthy(snapshot)
+        detail = "" if loaded else f"tool {snapshot.tool} is in the spindle"
+        return ProbeStatus(loaded, healthy, snapshot.deflected, detail if healthy else "not healthy: battery or link")
+
+    def touch_towards(self, target_mm: Vector, feed_mm_per_s: float) -> Touch | Miss:
+        self._require_usable()
+        target = tuple(float(value) for value in target_mm)
+        ended = self._motion.run(MdiMotionKind.TOUCH, target, feed_mm_per_s)
+        if not ended.snapshot.tripped:
+            return Miss(ended.snapshot.position)
+        latched = np.array(ended.snapshot.probed)
+        distance_mm = distance_to_segment_mm(latched, np.array(ended.start), np.array(target))
+        if distance_mm > self._session.settings.latch_tolerance_mm:
+            raise ProtocolError(
+                f"latched position {ended.snapshot.probed} is {distance_mm:.3f} mm off the commanded path",
+                hint="check whether another program uses LinuxCNC at the same time",
+                **self._session.where,
+            )
+        x, y, z = (latched - self._overshoot(ended, target, feed_mm_per_s)).tolist()
+        return Touch((x, y, z))
+
+    def _overshoot(self, ended: LinuxCncMotionResult, target: Sequence[float], feed_mm_per_s: float) -> Vector:
+        """Return the travel of the axes from the trip to the latch, shape (3,), mm.
+
+        The delay is that of the probe signal plus the time to the servo cycle that reads it, half a cycle on average.
+        Overshoot = direction · v · delay. The speed v is the smallest of the programmed feed times its override, the
+        limit of the axes along the path, and √(2 a s): the speed after the distance s from the start at acceleration a.
+        """
+        properties, settings = self._session.properties, self._session.settings
+        path = np.subtract(target, ended.start)
+        direction = path / np.linalg.norm(path)
+        travelled_mm = math.dist(ended.snapshot.probed, ended.start)
+        shares = np.abs(direction).tolist()
+        speed = min(
+            feed_mm_per_s * ended.snapshot.feed_override,
+            limit_along_direction(shares, properties.limits.rapid_mm_per_s),
+            math.sqrt(2.0 * limit_along_direction(shares, properties.limits.acceleration_mm_per_s2) * travelled_mm),
+        )
+        late_s = settings.latch_cycles * properties.servo_period_s + settings.probe_delay_s
+        return np.asarray(direction * speed * late_s)
+
+    def _require_usable(self) -> None:
+        snapshot = self._session.read_snapshot()
+        if not (self._loaded(snapshot) and self._session.probe_healthy(snapshot)):
+            raise PermissionMissing(
+                f"no healthy probe in the spindle (tool {snapshot.tool})", hint="load the probe", **self._session.where
+            )
+
+    def _loaded(self, snapshot: Snapshot) -> bool:
+        """Return True if the probe is loaded, or if no tool number is configured for it."""
+        expected = self._session.settings.probe_tool
+        return expected is None or snapshot.tool == expected

@@ -8,7 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from drivers.clock import Clock
-from drivers.errors import DeviceError, LinkLost, ProtocolError
+from drivers.controller_device import ControllerDevice
+from drivers.errors import DeviceError, ProtocolError
 from drivers.modbus_cnc.codes import (
     ACTIVATIONS,
     NO_TEMPERATURE,
@@ -32,8 +33,6 @@ from drivers.roles import (
     MachineStatus,
     Miss,
     ProbeStatus,
-    StoreLimits,
-    TableImage,
     Touch,
     Vector,
 )
@@ -50,7 +49,7 @@ This bound and `MIN_DYNAMICS` reveal a wrong word or byte order, which makes a f
 _LATCH_RESULTS = {MotionOutcome.TRIPPED: 1, MotionOutcome.MISSED: 2}
 
 
-class ModbusCnc:
+class ModbusCnc(ControllerDevice["_Parts"]):
     """CNC controller that is reached through Modbus registers.
 
     The parts of the device for motion, probing and the compensation store share one communication session with the
@@ -59,7 +58,7 @@ class ModbusCnc:
 
     def __init__(self, settings: ModbusCncSettings, clock: Clock, name: str) -> None:
         self._session = ModbusSession(create_link(settings, clock, name), clock, settings)
-        self._parts: _Parts | None = None
+        super().__init__(self._session.where)
 
     def open(self) -> None:
         try:
@@ -130,24 +129,6 @@ class ModbusCnc:
     def touch_towards(self, target_mm: Vector, *, feed_mm_per_s: float) -> Touch | Miss:
         return self._open.probing.touch_towards(target_mm, feed_mm_per_s)
 
-    def store_limits(self) -> StoreLimits:
-        return self._open.store.limits
-
-    def active_bank(self) -> int:
-        return self._open.store.active_bank()
-
-    def pending_bank(self) -> int | None:
-        return self._open.store.pending_bank()
-
-    def read_table(self, bank: int) -> TableImage | None:
-        return self._open.store.read_table(bank)
-
-    def stage(self, bank: int, table: TableImage) -> None:
-        self._open.store.stage(bank, table)
-
-    def activate(self, bank: int) -> None:
-        self._open.store.activate(bank)
-
     def temperatures_c(self) -> Mapping[str, float]:
         status = self._session.status()
         readings = zip(self._session.settings.temperatures, status.temperatures, strict=False)
@@ -155,10 +136,8 @@ class ModbusCnc:
         return {name: value / 1000.0 for name, value in named if name and value != NO_TEMPERATURE}
 
     @property
-    def _open(self) -> _Parts:
-        if self._parts is None:
-            raise LinkLost("the device is not open", hint="open it first", **self._session.where)
-        return self._parts
+    def _tables(self) -> ModbusStore:
+        return self._open.store
 
     def _require_sound(self, limits: ControllerLimits) -> None:
         travels = [high - low for low, high in zip(limits.lower, limits.upper, strict=True)]

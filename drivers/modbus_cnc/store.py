@@ -7,7 +7,10 @@ confirm. It is read back block by block through the read window, a range of regi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import zlib
+from collections.abc import Callable, Iterator
+
+import numpy as np
 
 from drivers.clock import Deadline
 from drivers.errors import (
@@ -30,9 +33,47 @@ from drivers.modbus_cnc.codes import (
 from drivers.modbus_cnc.registers import CommandBlock, ControllerLimits, StatusImage, TableDescriptor
 from drivers.modbus_cnc.session import ModbusSession
 from drivers.modbus_cnc.settings import READ_WINDOW_REGISTERS
-from drivers.modbus_cnc.table import block_count, crc32, data_blocks, decode_table, table_bytes, table_descriptor
 from drivers.roles import Activation, StoreLimits, TableImage
 from drivers.tables.checks import limits_violation
+
+BLOCK_BYTES = 240
+"""Size of a data block: 120 registers hold 60 counts, that is 20 nodes."""
+
+
+def table_bytes(table: TableImage) -> bytes:
+    """Return all counts (integer corrections) of a table as big-endian int32. The node index varies fastest along z and
+    slowest along x.
+
+    Each node has its counts in the order dx, dy, dz (docs/reference/modbus-register-map.md, section 8).
+    """
+    return table.counts.astype(">i4").tobytes(order="C")
+
+
+def crc32(data: bytes) -> int:
+    return zlib.crc32(data)
+
+
+def block_count(nodes: tuple[int, int, int]) -> int:
+    nx, ny, nz = nodes
+    # Three corrections of 4 bytes at each node; -(-a // b) rounds up.
+    return -(-nx * ny * nz * 12 // BLOCK_BYTES)
+
+
+def data_blocks(data: bytes) -> Iterator[bytes]:
+    """Yield `data`, the bytes of a table, in blocks of `BLOCK_BYTES` bytes. The last block is padded with zeros."""
+    for start in range(0, len(data), BLOCK_BYTES):
+        yield data[start : start + BLOCK_BYTES].ljust(BLOCK_BYTES, b"\x00")
+
+
+def table_descriptor(bank: int, table: TableImage, crc: int) -> TableDescriptor:
+    return TableDescriptor(bank, table.shape, table.origin_mm, table.step_mm, table.resolution_mm, crc)
+
+
+def decode_table(descriptor: TableDescriptor, data: bytes) -> TableImage:
+    """Return the table with the grid of `descriptor` and the counts in `data`, which holds 12 bytes per node."""
+    counts = np.frombuffer(data, dtype=">i4").astype(np.int32).reshape(*descriptor.nodes, 3)
+    return TableImage(descriptor.origin, descriptor.step, descriptor.resolution, counts)
+
 
 COARSEST_POLL_S = 0.1
 
@@ -52,8 +93,7 @@ class ModbusStore:
             activation=ACTIVATIONS[limits.activation],
         )
 
-    @property
-    def limits(self) -> StoreLimits:
+    def store_limits(self) -> StoreLimits:
         return self._limits
 
     def active_bank(self) -> int:

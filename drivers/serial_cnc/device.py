@@ -10,7 +10,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from drivers.clock import Clock
-from drivers.errors import CommandRejected, ConfigurationError, DeviceError, LinkLost
+from drivers.controller_device import ControllerDevice
+from drivers.errors import CommandRejected, ConfigurationError, DeviceError
 from drivers.links.serial_port import LineLink, SerialAddress, SerialPort
 from drivers.registry import DeviceContext
 from drivers.roles import (
@@ -20,8 +21,6 @@ from drivers.roles import (
     Miss,
     MotionState,
     ProbeStatus,
-    StoreLimits,
-    TableImage,
     Touch,
     Vector,
 )
@@ -39,7 +38,7 @@ from drivers.serial_cnc.status_tracker import StatusTracker
 from drivers.serial_cnc.store import BankStore
 
 
-class SerialCnc:
+class SerialCnc(ControllerDevice["_Parts"]):
     """Device for a GRBL controller.
 
     The parts of the device that need the controller's settings exist only while the device is open. If `line` is given,
@@ -51,11 +50,10 @@ class SerialCnc:
         self._settings = settings
         self._clock = context.clock
         self._conversation = Conversation(line, settings)
-        self._where = self._conversation.where
+        super().__init__(self._conversation.where)
         directory = context.base_path / settings.banks.directory
         self._store = BankStore(settings.banks, BankFiles(directory, self._where), self._where, self._require_rest)
         self._directory = directory
-        self._parts: _Parts | None = None
 
     def open(self) -> None:
         try:
@@ -131,25 +129,6 @@ class SerialCnc:
         parts.frames.require_reachable(target, feed_mm_per_s)
         return parts.probing.touch_towards(target, feed_mm_per_s)
 
-    def store_limits(self) -> StoreLimits:
-        return self._store.limits
-
-    def active_bank(self) -> int:
-        return self._store.active_bank()
-
-    def pending_bank(self) -> int | None:
-        """Return None, because an activation takes effect at once."""
-        return None
-
-    def read_table(self, bank: int) -> TableImage | None:
-        return self._store.read_table(bank)
-
-    def stage(self, bank: int, table: TableImage) -> None:
-        self._store.stage(bank, table)
-
-    def activate(self, bank: int) -> None:
-        self._store.activate(bank)
-
     def temperatures_c(self) -> Mapping[str, float]:
         """Return the temperatures entered in the settings, in °C."""
         if not self._settings.declared_temperatures_c:
@@ -160,15 +139,13 @@ class SerialCnc:
             )
         return dict(self._settings.declared_temperatures_c)
 
+    @property
+    def _tables(self) -> BankStore:
+        return self._store
+
     def _require_rest(self) -> None:
         if self._parts is not None and self._parts.control.read_status().state is MotionState.MOVING:
             raise CommandRejected("a compensation cannot change during a motion", **self._where)
-
-    @property
-    def _open(self) -> _Parts:
-        if self._parts is None:
-            raise LinkLost("the device is not open", hint="open it first", **self._where)
-        return self._parts
 
 
 class _Parts:

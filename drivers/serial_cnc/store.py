@@ -45,7 +45,7 @@ class BankStore:
         self, settings: BankSettings, files: BankFiles, where: Mapping[str, str], require_rest: Callable[[], None]
     ) -> None:
         most = settings.max_nodes
-        self.limits = StoreLimits(
+        self._limits = StoreLimits(
             banks=BANKS,
             max_nodes=(most, most, most),
             max_total_nodes=settings.max_total_nodes,
@@ -67,8 +67,15 @@ class BankStore:
         bank, crc = self._files.active()
         self._active, self.correction = bank, Correction(self._verified_table(bank, crc) if bank else None)
 
+    def store_limits(self) -> StoreLimits:
+        return self._limits
+
     def active_bank(self) -> int:
         return self._active
+
+    def pending_bank(self) -> int | None:
+        """Return None, because an activation takes effect at once."""
+        return None
 
     def read_table(self, bank: int) -> TableImage | None:
         if bank == 0:
@@ -80,7 +87,7 @@ class BankStore:
         self._require_known(bank)
         if bank == self._active:
             raise self._error(f"bank {bank} is active and cannot be written", hint="stage into another bank")
-        objection = limits_violation(self.limits, table) or table_defect(table, MAX_SLOPE)
+        objection = limits_violation(self._limits, table) or table_defect(table, MAX_SLOPE)
         if objection:
             raise self._error(objection)
         self._files.write(bank, table)

@@ -10,6 +10,7 @@ valid inside these namespaces.
 from __future__ import annotations
 
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -18,12 +19,13 @@ from types import FrameType
 
 import click
 
-from drivers.errors import VolcalError
+from drivers.errors import ConfigurationError, VolcalError
 from simulators.linuxcnc.machine import LinuxCncMachine, build
 from simulators.linuxcnc.namespaces import first_child, unavailable_reason, unshare_command
-from simulators.linuxcnc.work import prepare_work_directory
 from simulators.scenario import read_scenario
 
+EMPTY = ("machine.var",)
+TABLES = "tables"
 PATH = click.Path(path_type=Path)
 
 
@@ -81,6 +83,26 @@ def _serve(scenario: Path, work: Path, ini: str, speed: float) -> None:
         click.echo(json.dumps(machine.ready_line()))
         while sys.stdin.buffer.read(4096):
             pass  # the content has no meaning; only the end of the stream counts
+
+
+def prepare_work_directory(configuration: Path, components: Path, work: Path) -> None:
+    """Copy the INI, HAL (hardware abstraction layer) and tool files of a LinuxCNC configuration and the HAL files of
+    the components to `work`.
+
+    A directory for compensation tables is created as well. The agent's settings are not copied.
+    """
+    if not configuration.is_dir():
+        raise ConfigurationError("no such directory", file=str(configuration))
+    work.mkdir(parents=True, exist_ok=True)
+    work.chmod(0o777)  # parts of LinuxCNC run as another user
+    for file in (*configuration.iterdir(), *components.glob("*.hal")):
+        if file.is_file() and file.suffix != ".toml":
+            shutil.copy(file, work)
+    for name in EMPTY:
+        (work / name).touch()
+        (work / name).chmod(0o666)
+    (work / TABLES).mkdir(exist_ok=True)
+    (work / TABLES).chmod(0o777)
 
 
 if __name__ == "__main__":

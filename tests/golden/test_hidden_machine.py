@@ -15,6 +15,7 @@ from functools import cache
 
 import numpy as np
 
+from benchmarks.family import AMPLITUDES, RANGES, TOOL
 from twin.artefact.artefact import Artefact, ball_bar
 from twin.artefact.mount_geometry import MountGeometry
 from twin.artefact.observations import Observations
@@ -27,16 +28,6 @@ from twin.machine.kinematic_chain import parse_chain
 from twin.machine.machine_population import Family, family_from_amplitudes
 from twin.machine.volumetric import evaluation_grid, volumetric_error
 
-RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
-TOOL = np.array([0.0, 250.0, 0.0])
-AMPLITUDES: dict[str, float | list[float]] = {
-    "positioning_um": [8.0, 5.0, 3.0, 1.8, 1.1],
-    "straightness_um": [5.5, 3.3, 2.0, 1.2],
-    "rotation_urad": [4.6, 2.8, 1.7, 1.0, 0.6],
-    "squareness_urad": 9.0,
-    "cross_displacement_um": 4.5,
-    "cross_rotation_urad": 3.0,
-}
 CERTIFICATE_MM = 0.8e-3
 NOISE_MM = 1e-3
 SEEDS = range(6)

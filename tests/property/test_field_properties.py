@@ -6,21 +6,12 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.family import AMPLITUDES, RANGES
 from twin.machine.error_model import CROSS_TERMS, ErrorModel
 from twin.machine.forward_model import exact_deviation, linear_deviation
 from twin.machine.kinematic_chain import Chain, parse_chain
 from twin.machine.machine_population import family_from_amplitudes
 from twin.machine.volumetric import QuadraticForm, align_rigidly, evaluation_grid, rms, volumetric_error
-
-CASE_STUDY_RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
-CASE_STUDY_AMPLITUDES: dict[str, float | list[float]] = {
-    "positioning_um": [8.0, 5.0, 3.0, 1.8, 1.1],
-    "straightness_um": [5.5, 3.3, 2.0, 1.2],
-    "rotation_urad": [4.6, 2.8, 1.7, 1.0, 0.6],
-    "squareness_urad": 9.0,
-    "cross_displacement_um": 4.5,
-    "cross_rotation_urad": 3.0,
-}
 
 chains = st.builds(
     lambda order, bed: Chain(tuple(order[:bed]), tuple(order[bed:])),
@@ -45,10 +36,10 @@ def test_exact_and_linear_agree_within_five_nanometres_for_the_family(chain, too
     levers and travels.
     """
     rng = np.random.default_rng(seed)
-    model = ErrorModel.uniform(chain, CASE_STUDY_RANGES, order, CROSS_TERMS)
-    largest = family_from_amplitudes(model, CASE_STUDY_AMPLITUDES).half_widths * rng.choice([-1.0, 1.0], model.size)
-    corners = np.array(list(itertools.product(*CASE_STUDY_RANGES)))
-    points = np.vstack((corners, evaluation_grid(CASE_STUDY_RANGES, (9, 5, 5))))
+    model = ErrorModel.uniform(chain, RANGES, order, CROSS_TERMS)
+    largest = family_from_amplitudes(model, AMPLITUDES).half_widths * rng.choice([-1.0, 1.0], model.size)
+    corners = np.array(list(itertools.product(*RANGES)))
+    points = np.vstack((corners, evaluation_grid(RANGES, (9, 5, 5))))
     exact = exact_deviation(model, points, tool, largest)
     linear = linear_deviation(model, points, tool, largest)
     assert np.linalg.norm(exact - linear, axis=1).max() < 5e-6
@@ -58,9 +49,9 @@ def test_exact_and_linear_agree_within_five_nanometres_for_the_family(chain, too
 @given(chains, tools, seeds)
 def test_what_linearisation_leaves_is_of_second_order(chain, tool, seed):
     rng = np.random.default_rng(seed)
-    model = ErrorModel.uniform(chain, CASE_STUDY_RANGES, 4)
+    model = ErrorModel.uniform(chain, RANGES, 4)
     errors = rng.uniform(-1.0, 1.0, model.size) * [0.05 if p.unit == "mm" else 5e-5 for p in model.parameters]
-    low, high = np.array(CASE_STUDY_RANGES).T
+    low, high = np.array(RANGES).T
     points = rng.uniform(low, high, (20, 3))
     left = [
         exact_deviation(model, points, tool, scale * errors) - linear_deviation(model, points, tool, scale * errors)
@@ -73,9 +64,9 @@ def test_what_linearisation_leaves_is_of_second_order(chain, tool, seed):
 @given(chains, tools, seeds)
 def test_the_quadratic_form_is_the_grid(chain, tool, seed):
     rng = np.random.default_rng(seed)
-    model = ErrorModel.uniform(chain, CASE_STUDY_RANGES, 3, CROSS_TERMS)
+    model = ErrorModel.uniform(chain, RANGES, 3, CROSS_TERMS)
     errors = rng.uniform(-1.0, 1.0, model.size) * [1e-2 if p.unit == "mm" else 1e-5 for p in model.parameters]
-    grid = evaluation_grid(CASE_STUDY_RANGES, (9, 7, 8))  # more points than the quadrature of the form uses
+    grid = evaluation_grid(RANGES, (9, 7, 8))  # more points than the quadrature of the form uses
     field = rng.normal(0.0, 3e-3, grid.shape)
     form = QuadraticForm.build(model, grid, tool)
     for value, fixed in ((form.value(errors), 0.0), (form.value(errors, field), field)):

@@ -27,6 +27,7 @@ from agent.runs.run_context import RunHooks
 from agent.runs.session import RunResult, carry_out
 from agent.runs.steps_comparison import walked_branch
 from agent.settings.schema import Settings
+from campaigns.aborts.case import LENIENT
 from drivers.clock import Clock, VirtualClock
 from drivers.roles import TableImage
 from simulators.backend import SimulatedMachineDevice
@@ -69,18 +70,7 @@ def short_document(state: Path, **sections: Any) -> dict[str, Any]:
     short = {
         "devices": {"twin": {"driver": "simulated", "options": scenario}},
         "procedure": {"position_set": str(listed), "stations": [1]},
-        "verification": {
-            "stations": [1],
-            "positions_deg": [[20.0, 25.0]],
-            "max_missing_fraction": 1.0,
-            "max_chi2": 1e3,
-        },
-        "gates": {
-            "min_degrees_of_freedom": 1,
-            "max_unmeasured_fraction": 10.0,
-            "max_chi2": 1e3,
-        },
-        "table": {"step_mm": [500.0, 325.0, 500.0]},
+        **LENIENT,
     }
     return merged(document(state, **short), sections)
 

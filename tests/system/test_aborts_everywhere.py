@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
-from pathlib import Path
+from campaign_command import run_campaign
 
-ROOT = Path(__file__).resolve().parents[2]
 STEPS_WITHOUT_MACHINE = 5
 """Steps after the last motion: what was verified, the proof, its verdict, the accepted table, the end."""
 
 
 def test_the_former_table_is_active_after_every_exit() -> None:
-    command = [sys.executable, "-m", "campaigns.aborts", "--every", "400"]
-    ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600.0, check=False)
-    assert ended.stdout, ended.stderr
-    result = json.loads(ended.stdout.splitlines()[-1])
+    code, result = run_campaign("aborts", "--every", "400")
     assert result["failures"] == []
     assert result["ends_failed"] == []
-    assert ended.returncode == 0
+    assert code == 0
     assert result["aborts"] > 300
     assert result["completed_before_noticed"] <= 2 * STEPS_WITHOUT_MACHINE, "an abort or a fault after the last motion"
     ways = result["by_way"]

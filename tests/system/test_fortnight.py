@@ -3,26 +3,15 @@
 from __future__ import annotations
 
 import csv
-import json
-import subprocess
-import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
+from campaign_command import run_campaign
 
 
 def test_every_incident_leaves_the_history_and_the_table_that_it_should(tmp_path: Path) -> None:
     table = tmp_path / "fortnight.csv"
-    done = subprocess.run(
-        [sys.executable, "-m", "campaigns.fortnight", "--thin", "--csv", str(table)],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=600.0,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    found = json.loads(done.stdout.splitlines()[-1])
+    code, found = run_campaign("fortnight", "--thin", "--csv", table)
+    assert code == 0, found
     assert found["passed"] is True
     assert found["failed"] == []
     assert found["ends"] == ["complete", "faulted", "complete", "aborted", "refused"]

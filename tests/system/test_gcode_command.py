@@ -7,26 +7,16 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from hidden_machine import ARTEFACT_FILE, MACHINE_FILE, HiddenMachine, ball_file
 from scipy.interpolate import RegularGridInterpolator
-
-from agent.cli.main import main
+from volcal_command import volcal
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "property"))
 
 from plain_gcode import PlainController, dense, far, path
-
-
-class Done(NamedTuple):
-    returncode: int
-    stdout: str
-    stderr: str
-
 
 CHORD_MM = 0.002
 WORK = (1500.0, 500.0, 600.0)
@@ -58,15 +48,6 @@ N200 G53 G0 Z1400 M5
 N210 M30
 %
 """
-
-
-def volcal(*arguments: str | Path, check: bool = True) -> Done:
-    """The command in this process; `test_as_a_process` has one of its own."""
-    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
-    if result.exception and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    assert not check or result.exit_code == 0, result.stderr
-    return Done(result.exit_code, result.stdout, result.stderr)
 
 
 @pytest.fixture(scope="module")
@@ -192,8 +173,8 @@ class TestRefusals:
         part, out = tmp_path / "part.nc", tmp_path / "out.nc"
         part.write_text(text)
         out.write_text("what was there")
-        done = volcal("gcode", "correct", part, *given(identified[1]), "-o", out, check=False)
-        assert done.returncode == 2
+        done = volcal("gcode", "correct", part, *given(identified[1]), "-o", out, exit_code=None)
+        assert done.exit_code == 2
         assert done.stderr.startswith("error: ")
         assert "Traceback" not in done.stderr
         for word in [*words, "part.nc"]:
@@ -204,19 +185,19 @@ class TestRefusals:
     def test_nothing_goes_to_standard_output_before_all_is_corrected(self, identified: tuple, tmp_path: Path) -> None:
         part = tmp_path / "part.nc"
         part.write_text("G90 G0 X0 Y0 Z0\n" + "G1 X1 F100\n" * 20_000 + "G41 X2\n")
-        done = volcal("gcode", "correct", part, *given(identified[1]), check=False)
-        assert (done.returncode, done.stdout) == (2, "")
+        done = volcal("gcode", "correct", part, *given(identified[1]), exit_code=None)
+        assert (done.exit_code, done.stdout) == (2, "")
         assert "line 20002" in done.stderr
 
     def test_a_corrected_program_is_not_corrected_again(self, identified: tuple, tmp_path: Path) -> None:
         part, out = tmp_path / "part.nc", tmp_path / "out.nc"
         part.write_text(PART)
         volcal("gcode", "correct", part, *given(identified[1]), "-o", out)
-        done = volcal("gcode", "correct", out, *given(identified[1]), "-o", tmp_path / "twice.nc", check=False)
-        assert (done.returncode, (tmp_path / "twice.nc").exists()) == (2, False)
+        done = volcal("gcode", "correct", out, *given(identified[1]), "-o", tmp_path / "twice.nc", exit_code=None)
+        assert (done.exit_code, (tmp_path / "twice.nc").exists()) == (2, False)
         assert "already corrected" in done.stderr
-        same = volcal("gcode", "correct", part, *given(identified[1]), "-o", part, check=False)
-        assert (same.returncode, part.read_text()) == (2, PART)
+        same = volcal("gcode", "correct", part, *given(identified[1]), "-o", part, exit_code=None)
+        assert (same.exit_code, part.read_text()) == (2, PART)
 
     @pytest.mark.parametrize(
         ("more", "word"),
@@ -232,8 +213,8 @@ class TestRefusals:
     def test_wrong_options(self, more: list[str], word: str, identified: tuple, tmp_path: Path) -> None:
         part = tmp_path / "part.nc"
         part.write_text(PART)
-        done = volcal("gcode", "correct", part, *given(identified[1]), *more, check=False)
-        assert (done.returncode, done.stdout) == (2, "")
+        done = volcal("gcode", "correct", part, *given(identified[1]), *more, exit_code=None)
+        assert (done.exit_code, done.stdout) == (2, "")
         assert word in done.stderr
 
 
@@ -255,7 +236,7 @@ def test_a_wrong_setup_file_is_named_with_its_key(identified: tuple, tmp_path: P
     part, setup = tmp_path / "part.nc", tmp_path / "setup.toml"
     part.write_text(PART)
     setup.write_text("[tools_mm]\none = [0, 0, 1]\n")
-    done = volcal("gcode", "correct", part, *given(identified[1]), "--setup", setup, check=False)
-    assert done.returncode == 2
+    done = volcal("gcode", "correct", part, *given(identified[1]), "--setup", setup, exit_code=None)
+    assert done.exit_code == 2
     assert "setup.toml" in done.stderr
     assert "tools_mm" in done.stderr

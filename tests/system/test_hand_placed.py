@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
@@ -59,12 +57,6 @@ def document(state: Path, **hand: Any) -> dict[str, Any]:
     }
     shipped = {name: value for name, value in SHIPPED.items() if name not in ("clock", "devices", "roles")}
     return {**merged(shipped, own), "devices": own["devices"], "roles": own["roles"]}
-
-
-@pytest.fixture
-def state() -> Iterator[Path]:
-    with TemporaryDirectory() as directory:
-        yield Path(directory) / "state"
 
 
 def asked(run: StoredRun) -> list[str]:

@@ -7,10 +7,8 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 from simulated import COMMAND
-
-from agent.cli.main import main
+from volcal_command import volcal
 
 POSITIONS = "station,azimuth_deg,elevation_deg\n" + "".join(
     f"{station},{azimuth},{elevation}\n"
@@ -67,8 +65,7 @@ def test_what_is_missing_or_impossible_is_one_error_and_nothing_is_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], words: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    ended = CliRunner().invoke(main, ["init", "mine", *arguments])
-    assert ended.exit_code == 2
+    ended = volcal("init", "mine", *arguments, exit_code=2)
     complaint = [line for line in ended.stderr.splitlines() if not line.startswith("note: ")]
     assert len(complaint) == 1
     assert complaint[0].startswith("error: ")
@@ -79,7 +76,6 @@ def test_what_is_missing_or_impossible_is_one_error_and_nothing_is_written(
 def test_existing_settings_are_kept_without_force(tmp_path: Path) -> None:
     settings = tmp_path / "volcal.toml"
     settings.write_text("mine\n")
-    ended = CliRunner().invoke(main, ["init", str(tmp_path), *MILL])
-    assert ended.exit_code == 2
+    ended = volcal("init", tmp_path, *MILL, exit_code=2)
     assert "add --force" in ended.stderr
     assert settings.read_text() == "mine\n"

@@ -13,12 +13,12 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 from nights import Night, short_document
 from stored_run import stored_run
+from volcal_command import volcal
 
 import agent.cli.run_commands.night_options
-from agent.cli.main import main
 from agent.errors import GateRefused, PlanRefused
 from agent.execution.run_record import run_ids
 from agent.execution.states import RunState
@@ -216,7 +216,7 @@ class Commands:
         )
 
     def run(self, *arguments: str) -> Result:
-        return CliRunner().invoke(main, [*arguments, "--nights", "1", "--config", "volcal.toml"])
+        return volcal(*arguments, "--nights", "1", "--config", "volcal.toml", exit_code=None)
 
 
 def test_the_exit_code_of_the_commands_states_whether_the_machine_is_within_limits(

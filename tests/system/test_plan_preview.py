@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from aloud import NOT_HERE
 from click.testing import CliRunner, Result
+from volcal_command import volcal
 
 from agent.cli.main import main
 from agent.errors import PlanRefused
@@ -23,7 +24,7 @@ REFUSED_STEP = "measure/station-2/az0-el0/ball-05/touch-0/start"
 
 
 def plan(*more: str | Path) -> Result:
-    return CliRunner().invoke(main, [*S1_AT_2, *map(str, more)])
+    return volcal(*S1_AT_2, *more, exit_code=None)
 
 
 def refuse(monkeypatch: pytest.MonkeyPatch) -> None:

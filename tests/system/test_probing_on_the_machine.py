@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import tomllib
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -36,12 +34,6 @@ LOCATING = 5
 """Touches by which the first ball is located before its pattern."""
 POSITIONS = (Position(1, 45.0, 0.0), Position(1, 90.0, 45.0))
 NO_MOUNT_ERROR = {"index_error_deg": 0.0, "wobble_um": 0.0, "place_error_mm": 0.0, "place_error_deg": 0.0}
-
-
-@pytest.fixture
-def state() -> Iterator[Path]:
-    with TemporaryDirectory() as directory:
-        yield Path(directory) / "state"
 
 
 @dataclass

@@ -3,25 +3,13 @@ of the same seed."""
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
-from pathlib import Path
-from typing import Any
+from campaign_command import run_campaign
 
-ROOT = Path(__file__).resolve().parents[2]
 COUNT = 20
 
 
-def run(*arguments: str) -> tuple[int, dict[str, Any]]:
-    command = [sys.executable, "-m", "campaigns.plans", *arguments]
-    ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600.0, check=False)
-    assert ended.stdout, ended.stderr
-    return ended.returncode, json.loads(ended.stdout.splitlines()[-1])
-
-
 def test_random_plans_end_without_a_collision_and_most_are_accepted() -> None:
-    code, result = run("--count", str(COUNT), "--seed", "3", "--judge-every", "5")
+    code, result = run_campaign("plans", "--count", str(COUNT), "--seed", "3", "--judge-every", "5")
     assert code == 0, result
     assert result["passed"]
     assert result["plans"] == COUNT
@@ -39,7 +27,7 @@ def test_random_plans_end_without_a_collision_and_most_are_accepted() -> None:
 
 
 def test_one_plan_comes_again_by_its_seed() -> None:
-    first, second = run("--only", "3000001"), run("--only", "3000001")
+    first, second = (run_campaign("plans", "--only", "3000001") for _ in range(2))
     for _, result in (first, second):
         del result["wall_seconds"]
     assert first == second
@@ -47,7 +35,7 @@ def test_one_plan_comes_again_by_its_seed() -> None:
 
 def test_a_tip_that_rests_behind_its_touch_does_not_reach_the_holder() -> None:
     """Contact leaves 0.6 mm to a holder that leans towards the tip; braking from the fast touch takes them."""
-    _, result = run("--only", "1007590")
+    _, result = run_campaign("plans", "--only", "1007590")
     assert result["failures"] == []
     assert result["stopped"] == ""
     assert result["seen"]["smallest_mm"] > 0.4

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from volcal_command import volcal
 
 from agent.cli.main import main
 
@@ -26,8 +27,7 @@ offset_mm = [0.0, 250.0, -100.0]
 
 
 def said(*arguments: str | Path) -> str:
-    result = CliRunner().invoke(main, ["rank", *CASE, *map(str, arguments)])
-    assert result.exit_code == 0, result.stderr
+    result = volcal("rank", *CASE, *arguments)
     return result.stdout
 
 

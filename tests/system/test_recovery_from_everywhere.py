@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -31,12 +29,6 @@ from simulators.backend import SimulatedMachineDevice
 EVERY = 17
 """Prime to the rhythm of touches, so that every kind of step is stopped at one ball or another."""
 POSITIONS = "station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n1,90,-45\n"
-
-
-@pytest.fixture
-def state() -> Iterator[Path]:
-    with TemporaryDirectory() as directory:
-        yield Path(directory) / "state"
 
 
 class Interrupted:

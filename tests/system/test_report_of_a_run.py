@@ -10,10 +10,9 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from nights import Night, short_document
+from volcal_command import volcal
 
-from agent.cli.main import main
 from agent.execution.journal_copy import copy_journal
 from agent.execution.run_record import read_record
 from agent.execution.run_state import Announcement
@@ -169,7 +168,6 @@ def test_the_command(season: Season, tmp_path: Path) -> None:
         f"[roles]\n{roles}\n[stations]\nplaces_mm = [[700.0, 1000.0, 750.0]]\n"
     )
     out = tmp_path / "out"
-    result = CliRunner().invoke(main, ["report", "last", "--config", str(config), "--out", str(out), "--pdf", "--json"])
-    assert result.exit_code == 0, result.output
+    result = volcal("report", "last", "--config", config, "--out", out, "--pdf", "--json")
     assert json.loads(result.stdout)["run_id"] == season.aborted.outcome.run_id
     assert sorted(path.name for path in out.iterdir()) == ["report.html", "report.pdf"]

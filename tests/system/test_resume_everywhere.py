@@ -2,18 +2,11 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
-from pathlib import Path
-
-ROOT = Path(__file__).resolve().parents[2]
+from campaign_command import run_campaign
 
 
 def test_breaks_leave_no_trace_in_any_figure() -> None:
-    command = [sys.executable, "-m", "campaigns.resume", "--every", "277"]
-    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600.0, check=False)
-    found = json.loads(result.stdout.splitlines()[-1])
+    code, found = run_campaign("resume", "--every", "277")
     assert (found["differing"], found["first"]) == (0, [])
-    assert result.returncode == 0, result.stderr
+    assert code == 0
     assert found["breaks"] > 10

@@ -5,9 +5,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -26,12 +24,6 @@ from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
 
 GROWTH_UM_PER_M = (1.5, -2.0, 3.0)
-
-
-@pytest.fixture
-def state() -> Iterator[Path]:
-    with TemporaryDirectory() as directory:
-        yield Path(directory) / "state"
 
 
 def with_backlash(state: Path, backlash_um: list[float], seed: int = 1, **sections: Any) -> Job:

@@ -13,10 +13,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
+import volcal_command
+from click.testing import Result
 from distributed import LocalCluster
-
-from agent.cli.main import main
 
 CASE = ["--case", "case-study"]
 VOLCAL = [sys.executable, "-m", "agent.cli.main", "study", *CASE]
@@ -32,7 +31,7 @@ def volcal(*arguments: str | Path, **environment: str) -> subprocess.CompletedPr
 
 def here(*arguments: str | Path) -> Result:
     """Run the same command in this process, which saves the start of a separate one."""
-    return CliRunner().invoke(main, ["study", *CASE, *map(str, arguments)])
+    return volcal_command.volcal("study", *CASE, *arguments, exit_code=None)
 
 
 def refused(done: Result, code: int, *words: str) -> None:

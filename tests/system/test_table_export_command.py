@@ -6,15 +6,16 @@ import json
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+import volcal_command
+from click.testing import Result
 from hidden_machine import ARTEFACT_FILE, MACHINE_FILE, HiddenMachine, ball_file
 
-from agent.cli.main import main
 from agent.cli.table_commands import table_export
 from agent.results.table_image import image_of
 from drivers.roles import Activation, StoreLimits
@@ -25,8 +26,7 @@ from twin.machine.volumetric import evaluation_grid, volumetric_error
 POINTS = {"fanuc-3d": ["--points", "21x14x16"]}
 
 
-def volcal(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(main, [str(one) for one in arguments])
+volcal = partial(volcal_command.volcal, exit_code=None)
 
 
 def export(run: Path, out: Path, name: str, *more: str | Path) -> Result:

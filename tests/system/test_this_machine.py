@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import csv
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+import volcal_command
 from hidden_machine import as_csv, hidden_machine, measured_rows
+from volcal_command import volcal_json
 
-from agent.cli.main import main
 from agent.planning.case_file import SHIPPED_CONFIGURATION, shipped_cases
 from twin.artefact.position_set import parse_position_set
 
@@ -28,15 +29,7 @@ EMPTY = {
 }
 
 
-def volcal(*arguments: str) -> Result:
-    return CliRunner().invoke(main, list(arguments))
-
-
-def json_of(*arguments: str) -> dict[str, object]:
-    done = volcal(*arguments, "--json")
-    assert done.exit_code == 0, done.output
-    found: dict[str, object] = json.loads(done.stdout)
-    return found
+volcal = partial(volcal_command.volcal, exit_code=None)
 
 
 @pytest.fixture(autouse=True)
@@ -100,7 +93,7 @@ def test_a_case_that_is_not_shipped_and_two_machines_at_once_are_refused() -> No
 
 def test_a_shipped_case_is_its_settings_file() -> None:
     settings = str(SHIPPED_CONFIGURATION / "case-study.toml")
-    assert json_of("rank", "--case", "case-study", *COARSE) == json_of("rank", "--config", settings, *COARSE)
+    assert volcal_json("rank", "--case", "case-study", *COARSE) == volcal_json("rank", "--config", settings, *COARSE)
     assert all(case.settings.is_file() and case.scenario.is_file() for case in shipped_cases().values())
     assert {"case-study", "two-mounts"} <= set(shipped_cases())
 
@@ -108,10 +101,10 @@ def test_a_shipped_case_is_its_settings_file() -> None:
 @pytest.mark.usefixtures("other_machine")
 class TestOtherMachine:
     def test_rank(self) -> None:
-        found = json_of("rank", *COARSE)
+        found = volcal_json("rank", *COARSE)
         assert (found["machine"], found["artefact"]) == ("mill-7", "bar-of-mill-7")
         assert volcal("rank", *COARSE).stdout.startswith(f"{OTHER}\nS3 at 2 stations")
-        assert json_of("rank", "--case", "case-study", *COARSE)["machine"] == "case-study"
+        assert volcal_json("rank", "--case", "case-study", *COARSE)["machine"] == "case-study"
 
     def test_design(self) -> None:
         done = volcal("design", "--positions", "2", "--grid-deg", "90", "--out", "set.csv")
@@ -140,9 +133,9 @@ class TestOtherMachine:
         rng = np.random.default_rng(3)
         rows = measured_rows(hidden_machine(rng), parse_position_set("S3", 4), rng)
         Path("balls.csv").write_text(as_csv([row for row in rows if float(row["x_mm"]) <= TRAVEL_MM]))
-        found = json_of("identify", "balls.csv", "--out", "out", "--even-so", "--formulation", "centres")
+        found = volcal_json("identify", "balls.csv", "--out", "out", "--even-so", "--formulation", "centres")
         assert (found["machine"], found["artefact"], found["settings"]) == ("mill-7", "bar-of-mill-7", "volcal.toml")
-        assert (found["formulation"], set(dict(found["orders"]).values())) == ("centres", {2})  # type: ignore[call-overload]
+        assert (found["formulation"], set(found["orders"].values())) == ("centres", {2})
         grid = json.loads(Path("out/table.json").read_text())["grid"]
         assert [len(grid[f"{axis}_mm"]) for axis in "xyz"] == [7, 6, 6]
         self.check_uses_of_the_table()
@@ -157,7 +150,7 @@ class TestOtherMachine:
         correct = ("gcode", "correct", "part.nc", "--table", "out/table.csv", *options)
         export = ("table", "export", "--table", "out", "--format", "gcode-csv", "--out", "exported", "--even-so")
         for command in (correct, export):
-            found = json_of(*command)
+            found = volcal_json(*command)
             assert (found["machine"], found["artefact"]) == ("mill-7", "bar-of-mill-7")
             refused = volcal(*command, "--case", "case-study")
             assert refused.exit_code == 2

@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
@@ -23,12 +21,6 @@ from agent.runs.unfinished_run import unfinished_run
 from agent.settings.schema import Settings
 
 WIDE = dict.fromkeys(("form_limit_um", "touch_limit_um", "pole_limit_um", "radius_limit_um"), 300.0)
-
-
-@pytest.fixture
-def state() -> Iterator[Path]:
-    with TemporaryDirectory() as directory:
-        yield Path(directory) / "state"
 
 
 def scenario(**sections: Any) -> dict[str, Any]:

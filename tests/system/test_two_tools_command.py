@@ -9,10 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from hidden_machine import ARTEFACT_FILE, MACHINE_FILE, HiddenMachine, as_csv, hidden_machine, measured_rows
+from volcal_command import volcal_json
 
-from agent.cli.main import main
 from twin.artefact.position_set import parse_position_set
 from twin.compensation.table_file import parse_table
 from twin.machine.volumetric import evaluation_grid, volumetric_error
@@ -29,11 +28,9 @@ class Measured:
     def identify(self, out: str, rows: list[dict], *more: str) -> dict:
         balls = self.folder / f"{out}.csv"
         balls.write_text(as_csv(rows))
-        files = ["--machine", self.folder / "m.toml", "--artefact", ARTEFACT_FILE, "--out", self.folder / out]
-        options = ["--order", "5", "--temperature-uncertainty", "0.1", "--json", *more]
-        result = CliRunner().invoke(main, ["identify", str(balls), *map(str, files), *options])
-        assert result.exit_code == 0, result.stderr
-        return json.loads(result.stdout)
+        files = ("--machine", self.folder / "m.toml", "--artefact", ARTEFACT_FILE, "--out", self.folder / out)
+        options = ("--order", "5", "--temperature-uncertainty", "0.1", *more)
+        return volcal_json("identify", balls, *files, *options)
 
     def left_um(self, out: str, tool: str) -> tuple[float, float]:
         """True VE of the machine with a tool, without and with the table that stands in `out`."""

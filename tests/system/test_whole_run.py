@@ -257,12 +257,6 @@ class WithoutEffect:
         return self._held.get(bank, self._store.read_table(bank))
 
 
-@pytest.fixture
-def state() -> Iterator[Path]:
-    with TemporaryDirectory() as directory:
-        yield Path(directory) / "state"
-
-
 @pytest.mark.parametrize(
     ("store", "mistake"),
     [

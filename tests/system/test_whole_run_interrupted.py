@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -84,12 +83,6 @@ class Cut(Tripwire):
 def with_device(rig: Rig, device: Any) -> Rig:
     roles = dict.fromkeys(("machine", "probe", "store", "thermometer", "operator"), device)
     return dataclasses.replace(rig, devices={"twin": device}, mounts=dict.fromkeys(rig.mounts, device), **roles)
-
-
-@pytest.fixture
-def state() -> Iterator[Path]:
-    with TemporaryDirectory() as directory:
-        yield Path(directory) / "state"
 
 
 @dataclasses.dataclass

@@ -7,10 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 from nights import document
-
-from agent.cli.main import main
+from volcal_command import refused, volcal
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 
@@ -23,17 +21,6 @@ def good(tmp_path: Path, monkeypatch) -> str:
     for folder in ("machines", "artefacts"):
         text = text.replace(f'"{folder}/', f'"{CONFIG}/{folder}/')
     return text.replace('"../runs"', '"state"')
-
-
-def refused(*arguments: str) -> tuple[int, str]:
-    """Exit code and the one line that a command says when it refuses; nothing may be on disk afterwards."""
-    before = sorted(Path().rglob("*"))
-    result = CliRunner().invoke(main, list(arguments))
-    assert isinstance(result.exception, SystemExit), result.exception
-    assert result.stdout == ""
-    assert sorted(Path().rglob("*")) == before
-    [line] = result.stderr.strip().splitlines()
-    return result.exit_code, line.removeprefix("error: ")
 
 
 def changed(former: str, now: str) -> Callable[[str], str]:
@@ -190,8 +177,7 @@ def test_run_that_preflight_refuses_writes_no_result(monkeypatch, tmp_path: Path
     (tmp_path / "p.csv").write_text("station,azimuth_deg,elevation_deg\n1,45,0\n")
     settings = document(tmp_path / "state", procedure={"position_set": "p.csv"}, verification={"stations": [1]})
     (tmp_path / "volcal.toml").write_text(toml(settings))
-    result = CliRunner().invoke(main, ["calibrate", "--json"])
-    assert result.exit_code == 2
+    result = volcal("calibrate", "--json", exit_code=2)
     outcome = json.loads(result.stdout)
     assert outcome["state"] == "refused"
     assert outcome["touches"] == 0

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 from foreign_files import artefact_text, ball_text, machine_text, rows_of
+from volcal_command import volcal
 
-from agent.cli.main import main
 from agent.results.artefact_calibration import calibration_warnings
 from agent.results.observations import ReferenceArtefact
 from campaigns.foreign.artefact import (
@@ -190,7 +190,7 @@ def run_identify(folder: Path, seed: int, artefact: Path, out: str) -> Result:
     (folder / "machine.toml").write_text(machine_text())
     files = [str(folder / "balls.csv"), "--machine", str(folder / "machine.toml"), "--artefact", str(artefact)]
     options = ["--order", "6", "--even-so", "--out", str(folder / out), "--json"]
-    return CliRunner().invoke(main, ["identify", *files, *options])
+    return volcal("identify", *files, *options, exit_code=None)
 
 
 def rough_text(seed: int, end_length: str) -> str:

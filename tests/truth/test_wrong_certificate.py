@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 from case_study_files import MACHINE_FILE
-from click.testing import CliRunner, Result
+from click.testing import Result
 from foreign_files import artefact_text, ball_text, rows_of
+from volcal_command import volcal
 
-from agent.cli.main import main
 from agent.results.gates import Gate, certificate_gate
 from agent.settings.schema import GateSettings
 from campaigns.foreign.artefact import S1, S2, S3, ForeignBar, measure, straight_bar, tilted_bar
@@ -160,7 +160,7 @@ def run_identify(folder: Path, errors_um: dict[int, Vector], additions: str = ""
     (folder / "artefact.toml").write_text(artefact_text(bar) + additions, encoding="utf-8")
     files = [str(folder / "balls.csv"), "--machine", str(MACHINE_FILE), "--artefact", str(folder / "artefact.toml")]
     options = ["--out", str(folder / "out"), "--order", "6", "--even-so", "--json"]
-    return CliRunner().invoke(main, ["identify", *files, *options])
+    return volcal("identify", *files, *options, exit_code=None)
 
 
 def certificate_of(result: Result) -> list[dict[str, Any]]:

@@ -29,11 +29,8 @@ SMALL = {
     "a role, apart from the processes that play it": ("agent.reports.renderer",),
     "the only module that knows every endpoint of the service": ("agent.service.daemon.extensions",),
     "sqlite3 is confined to the journal's own modules": ("agent.execution.journal_copy",),
-    "a calculation with tests of its own": ("twin.machine.motion_uncertainty",),
     "it logs, and the rest of its room does not": ("agent.history.feed",),
     "one step of the run, beside its siblings": ("agent.runs.resume.abandon",),
-    "files only; its caller starts processes": ("simulators.linuxcnc.work",),
-    "all bad plans, for the campaign and for its test": ("campaigns.bad_plans.catalogue",),
 }
 """Modules of under 40 lines with at most one importer, by the reason to stand alone."""
 

@@ -24,7 +24,7 @@ from drivers.modbus_cnc.codes import CommandCode
 from drivers.modbus_cnc.registers import BlockLayouts, CommandBlock, NumberFormat
 from drivers.modbus_cnc.session import ModbusSession
 from drivers.modbus_cnc.settings import BlockAddresses, ModbusCncSettings
-from drivers.modbus_cnc.table import crc32, table_bytes, table_descriptor
+from drivers.modbus_cnc.store import crc32, table_bytes, table_descriptor
 from drivers.roles import Permission, TableImage
 
 DOCUMENT = Path(__file__).parents[2] / "docs/reference/modbus-register-map.md"

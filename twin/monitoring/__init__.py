@@ -1,8 +1,7 @@
 """Trends over nights: control charts, drift, sudden steps, and the time until a limit is reached."""
 
 from twin.monitoring.control_chart import EwmaChart, IndividualsChart, ewma_chart, individuals_chart
-from twin.monitoring.crossing import LimitCrossing, limit_crossing
-from twin.monitoring.drift import Drift, fit_drift
+from twin.monitoring.drift import Drift, LimitCrossing, fit_drift, limit_crossing
 from twin.monitoring.steps import find_steps
 
 __all__ = [

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 from agent.errors import GateRefused, MeasurementFault
 from agent.execution.journal import RunJournal
@@ -280,9 +281,12 @@ def written(
     job, limits = task.job, task.store
     image = yield Conclude("publish/image", lambda: image_of(estimation.table, limits), STAND_IN_TABLE)
 
+    @cache
+    def former() -> FormerBalls:
+        return FormerBalls.of(job, estimation, measured, ready.correction)
+
     def doubt() -> str:
-        former = FormerBalls.of(job, estimation, measured, ready.correction)
-        reduction = predicted_reduction(job, estimation, former)
+        reduction = predicted_reduction(job, estimation, former())
         return "" if reduction.can_be_shown else f"the proof cannot be significant: {reduction.text}"
 
     yield Enter("state/staging", RunState.STAGING, doubt)
@@ -303,7 +307,11 @@ def written(
     order = job.verification_order(measured.standing_at, measured.placed)
     verified = yield from measure_positions(order, job.layout, ready.rules, measured.mount_poses)
     yield from note_measured(VERIFIED, verified)
-    return (yield from _proved(task, ready, estimation, measured, verified, image, after_proof))
+
+    def proof() -> Proof:
+        return prove(job, estimation, former(), job.balls_of(verified, held_out=True))
+
+    return (yield from _proved(task, ready, estimation, measured, verified, image, proof, after_proof))
 
 
 def _proved(
@@ -313,13 +321,10 @@ def _proved(
     measured: MeasuredPositions,
     verified: MeasuredPositions,
     image: TableImage,
+    proof_of: Callable[[], Proof],
     after_proof: AfterProof,
 ) -> RunPlan:
     job = task.job
-
-    def proof_of() -> Proof:
-        former = FormerBalls.of(job, estimation, measured, ready.correction)
-        return prove(job, estimation, former, job.balls_of(verified, held_out=True))
 
     def record(journal: RunJournal, found: Proof) -> None:
         journal.decision("proof", vars(found))

@@ -98,7 +98,7 @@ class ReturnToPosition:
         self._rig.last_motion = self._trace.last_motion
         prepared = self._results.prepared
         rules = self._planned.job.rules if prepared is None else prepared.rules
-        path = ReturnPath(self._prefix, self._trace, rules, rules.drift.fault_mm)
+        path = ReturnPath(self._prefix, self._trace, rules, rules.drift.limit_mm)
         try:
             self._aside.run(path.plan(following))
         except ArtefactMoved as moved:

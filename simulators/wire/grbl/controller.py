@@ -24,8 +24,7 @@ from simulators.wire.grbl.axes import GrblAxes, PlannedMove
 from simulators.wire.grbl.blocks import PROBING, BlockError, BlockParser, Triple, WorkOffsets
 from simulators.wire.grbl.physics import GrblPhysics
 from simulators.wire.grbl.receiver import LineReceiver
-from simulators.wire.grbl.settings import GrblSettings
-from simulators.wire.grbl.states import (
+from simulators.wire.grbl.reports import (
     ABORTED,
     BEYOND_TRAVEL,
     CRITICAL,
@@ -43,6 +42,7 @@ from simulators.wire.grbl.states import (
     GrblState,
     snapshot,
 )
+from simulators.wire.grbl.settings import GrblSettings
 
 RESET, DOOR, JOG_CANCEL = 0x18, 0x84, 0x85
 TOWARDS, NO_ALARM = frozenset({38.2, 38.3}), frozenset({38.3, 38.5})
@@ -179,7 +179,7 @@ class GrblController:
     def _welcome(self) -> None:
         self._send_lines(("", self._dialect.welcome))
         if self.state is GrblState.ALARM:
-            self.send_line(reports.LOCKED)
+            self.send_line(reports.HOW_TO_UNLOCK)
 
     def cancel_jog(self) -> None:
         """End a jog. grblHAL also discards the lines that wait in the receive buffer, in every state."""

@@ -1,17 +1,26 @@
-"""Texts that GRBL 1.1 and grblHAL send: status reports, parameters, parser state.
+"""States of GRBL 1.1 and grblHAL, the numbers of their alarms and of their errors outside of blocks, and the texts that
+they send: status reports, parameters, parser state.
 
-Source: gnea/grbl, doc/markdown/interface.md; grblHAL/core, report.c.
+Source: gnea/grbl, doc/markdown/interface.md, doc/csv/alarm_codes_en_US.csv and error_codes_en_US.csv; grblHAL/core,
+report.c.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from enum import Enum
+from typing import Final
 
-from simulators.wire.grbl.blocks import MM_PER_INCH, GrblModalState, Triple, WorkOffsets
+from simulators.wire.grbl.axes import GrblAxes
+from simulators.wire.grbl.blocks import MM_PER_INCH, BlockParser, GrblModalState, Triple, WorkOffsets
 from simulators.wire.grbl.settings import GrblSettings
 
-LOCKED = "[MSG:'$H'|'$X' to unlock]"
+HARD_LIMIT, SOFT_LIMIT, ABORTED, NOT_READY, NO_CONTACT, HOMING_RESET = 1, 2, 3, 4, 5, 6
+CRITICAL: Final = frozenset({HARD_LIMIT, SOFT_LIMIT})
+BAD_NUMBER, NOT_RECOGNISED, HOMING_DISABLED, NOT_IDLE, LOCKED, OVERFLOW, DOOR_OPEN = 2, 3, 5, 8, 9, 11, 13
+BEYOND_TRAVEL = 15
+HOW_TO_UNLOCK = "[MSG:'$H'|'$X' to unlock]"
 RESET_TO_CONTINUE = "[MSG:Reset to continue]"
 UNLOCKED = "[MSG:Caution: Unlocked]"
 CHECK_DOOR = "[MSG:Check Door]"
@@ -137,3 +146,39 @@ def parser_state(modes: GrblModalState) -> str:
 def _less(position: Triple, offset: Triple) -> Triple:
     x, y, z = (a - b for a, b in zip(position, offset, strict=True))
     return x, y, z
+
+
+class GrblState(Enum):
+    IDLE = "Idle"
+    RUN = "Run"
+    HOLD = "Hold"
+    DOOR = "Door"
+    ALARM = "Alarm"
+    HOME = "Home"
+    JOG = "Jog"
+
+
+def snapshot(state: GrblState, axes: GrblAxes, parser: BlockParser, *, blocks: int, homed: bool) -> StatusSnapshot:
+    """Return the state of the controller, whose planner holds `blocks` blocks."""
+    modes = parser.modes
+    spindle = {3: "S", 4: "C"}.get(int(modes.spindle), "")
+    return StatusSnapshot(
+        state=_state_shown(state, axes),
+        moving=axes.moving,
+        position_mm=axes.position(),
+        work_offset_mm=parser.work_offset_mm,
+        planned_blocks=blocks,
+        feed_mm_per_min=axes.feed_mm_per_min,
+        speed_rpm=modes.speed_rpm if spindle else 0.0,
+        pins="P" * axes.pin + "D" * axes.door_open,
+        accessories=spindle + {8: "F", 7: "M"}.get(int(modes.coolant), ""),
+        homed=homed,
+    )
+
+
+def _state_shown(state: GrblState, axes: GrblAxes) -> str:
+    if state is GrblState.HOLD:
+        return f"Hold:{int(axes.moving)}"
+    if state is GrblState.DOOR:
+        return "Door:2" if axes.moving else f"Door:{int(axes.door_open)}"
+    return str(state.value)

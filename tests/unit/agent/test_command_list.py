@@ -26,7 +26,7 @@ from twin.compensation.controllers.registry import FORMATS
 SLOW = ("scipy", "matplotlib", "sqlalchemy", "fastapi", "pymodbus", "canopen")
 NOT_FOR_A_LIST = (*SLOW, "numpy", "pydantic", "structlog", "asyncio", "rich", "simulators.cli")
 NOT_FOR_A_HELP_TEXT = (*SLOW, "numpy", "pydantic", "structlog", "asyncio", "rich", "jinja2")
-OF_THE_FIELDS = {("init",): ("numpy",)}
+OF_THE_FIELDS: dict[tuple[str, ...], tuple[str, ...]] = {("init",): ("numpy",)}
 """What the options of a command are made of: those of the set-up come from the table of its fields."""
 NOT_FOR_THE_HISTORY = (
     *(

@@ -5,38 +5,27 @@ from __future__ import annotations
 import csv
 import json
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from study_case import study_case
 
-from agent.planning.case_file import CASE_STUDY, load_case
 from agent.studies.coverage import AS_MODELLED, COLUMNS, ORDER_BY_EVIDENCE, ORDER_OF_FILE, REGIONS, run
-from agent.studies.study import StudyCase, StudyResult
+from agent.studies.study import StudyResult
 from agent.studies.study_files import write_result
 from agent.studies.workers import LocalWorkers
 from twin.identification import Options
 from twin.uncertainty.random_machines import DEFLECTION_FORMS
 
 MACHINES = 30
-
-
-def case(machines: int, options: Options | None = None) -> StudyCase:
-    return StudyCase(
-        job=load_case(CASE_STUDY),
-        options=options or Options(),
-        seed=11,
-        machines=machines,
-        workers=LocalWorkers(1),
-        progress=lambda what, done, total: None,
-        prove=lambda _: None,
-    )
+case = partial(study_case, None, seed=11)
 
 
 @cache
 def found() -> StudyResult:
-    return run(case(MACHINES))
+    return run(case(machines=MACHINES))
 
 
 def summary(way: str) -> dict[str, float]:
@@ -69,7 +58,7 @@ def test_parameters_of_machines_as_modelled_are_held() -> None:
 
 def test_without_the_misfit_the_truth_gets_lost() -> None:
     """Check that the test can fail: without the modelled misfit the regions do not hold."""
-    said = run(case(12, Options(misfit_mm=0.0))).summary[ORDER_OF_FILE]
+    said = run(case(machines=12, options=Options(misfit_mm=0.0))).summary[ORDER_OF_FILE]
     assert isinstance(said, dict)
     assert said["field jointly"] < 0.7
     assert said["predicted_over_true_vce"]["of_root_mean_squares"] < 0.93
@@ -88,7 +77,7 @@ def test_the_files_hold_every_machine_and_form(tmp_path: Path) -> None:
 
 
 def test_a_machine_is_the_same_whoever_works_on_it() -> None:
-    fewer = run(replace(case(6), workers=LocalWorkers(1)))
+    fewer = run(replace(case(machines=6), workers=LocalWorkers(1)))
     common = [row for row in found().rows if row[0] in range(6)]
     assert [row[:6] for row in fewer.rows if row[0] in range(6)] == [row[:6] for row in common]
     assert np.isfinite(np.array([row[4] for row in fewer.rows], dtype=float)).all()

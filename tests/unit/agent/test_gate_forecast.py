@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
-
-from agent.cli.main import main
+from click.testing import Result
+from volcal_command import volcal, volcal_json
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
 AXIS = "[axes.{}]\nrange_mm = [0.0, {}]\nrapid_mm_per_min = 20000.0\nacceleration_mm_per_s2 = 500.0\n"
@@ -58,16 +56,14 @@ def small(tmp_path: Path) -> Path:
 
 
 def check(config: Path) -> Result:
-    return CliRunner().invoke(main, ["config", "check", str(config)])
+    return volcal("config", "check", config, exit_code=None)
 
 
 def test_a_small_machine_passes_with_the_defaults(small: Path) -> None:
     checked = check(small)
     assert checked.exit_code == 0, checked.output
     assert "refuse" not in checked.output
-    planned = CliRunner().invoke(main, ["plan", "--config", str(small), "--json"])
-    assert planned.exit_code == 0, planned.output
-    document = json.loads(planned.stdout)
+    document = volcal_json("plan", "--config", small)
     gates = {gate["gate"]: gate for gate in document["gates"]}
     assert all(gate["passes"] and not gate["remedy"] for gate in gates.values())
     assert gates["gain"]["expected"] > gates["gain"]["limit"] == 0.25

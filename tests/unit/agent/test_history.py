@@ -17,6 +17,7 @@ from click.testing import CliRunner
 from journal_surgery import add_event, change_end, remove_results
 from journaled import SETTINGS, journaled, run_id
 from prometheus_client.parser import text_string_to_metric_families
+from volcal_command import volcal
 
 from agent.cli.main import main
 from agent.execution.run_record import read_record, run_ids
@@ -313,8 +314,7 @@ class TestCommands:
         return path
 
     def test_list(self, config: Path) -> None:
-        result = CliRunner().invoke(main, ["history", "list", "--config", str(config), "--last", "3", "--json"])
-        assert result.exit_code == 0, result.output
+        result = volcal("history", "list", "--config", config, "--last", "3", "--json")
         assert [run["run_id"] for run in json.loads(result.stdout)["runs"]] == [run_id(7), run_id(8), run_id(9)]
 
     def test_trend_ends_with_4_where_it_warns(self, config: Path, tmp_path: Path) -> None:
@@ -328,9 +328,8 @@ class TestCommands:
 
     def test_export_and_sync(self, config: Path, tmp_path: Path) -> None:
         out = tmp_path / "runs.csv"
-        assert CliRunner().invoke(main, ["history", "sync", "--config", str(config)]).exit_code == 0
-        result = CliRunner().invoke(main, ["history", "export", "--config", str(config), "--out", str(out)])
-        assert result.exit_code == 0, result.output
+        volcal("history", "sync", "--config", config)
+        volcal("history", "export", "--config", config, "--out", out)
         assert len(out.read_text().splitlines()) == 11
 
 

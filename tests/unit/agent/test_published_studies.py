@@ -5,25 +5,24 @@ from __future__ import annotations
 import csv
 import math
 from dataclasses import replace
-from functools import cache
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from study_case import shipped_job, study_case
 
-from agent.planning.case_file import CASE_STUDY, load_case
 from agent.planning.cycle_time import machine_minutes
 from agent.planning.design.bar_variants import Bar
-from agent.planning.job import Job
 from agent.studies import ball_count, misalignment, strategy, trajectory, volumetric_error
 from agent.studies.identification_variants import PUBLISHED, UNWEIGHTED, identification_variants
 from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant, Verdict
 from agent.studies.study import StudyCase
 from agent.studies.study_files import document, format_rows, write_result
 from agent.studies.verdict_table import worst_deviation
-from agent.studies.workers import LocalWorkers, generator
+from agent.studies.workers import generator
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact, ball_bar
 from twin.artefact.position_set import parse_position_set
@@ -36,25 +35,7 @@ from twin.uncertainty.monte_carlo import draw_truth
 from twin.uncertainty.residual_field_form import FieldForm
 
 NANOMETRE_UM = 1e-3
-
-
-@cache
-def job(stations: int | None = None) -> Job:
-    """Return the shipped case with its four stations, or with other stations."""
-    return load_case(CASE_STUDY, stations=stations)
-
-
-def case(stations: int | None = 2, **changes: object) -> StudyCase:
-    made = {
-        "job": job(stations),
-        "options": Options(),
-        "seed": 7,
-        "machines": 4,
-        "workers": LocalWorkers(1),
-        "progress": lambda *_: None,
-        "prove": lambda _: None,
-    }
-    return StudyCase(**{**made, **changes})  # type: ignore[arg-type]
+case = partial(study_case, seed=7)
 
 
 def true_field(made: StudyCase, parameters: Array, points: Array) -> Array:
@@ -124,7 +105,7 @@ class TestVolumetricError:
 
 class TestBar:
     def test_the_bar_as_drawn_is_near_the_certified_one(self) -> None:
-        certified = job().artefact
+        certified = shipped_job().artefact
         bar = Bar.of(certified)
         assert bar.tilt_deg == pytest.approx(15.0, abs=0.1)
         assert np.abs(bar.with_().balls - certified.balls).max() < 0.1
@@ -132,20 +113,20 @@ class TestBar:
 
     @pytest.mark.parametrize("balls", [3, 7, 15])
     def test_the_length_does_not_depend_on_the_number_of_balls(self, balls: int) -> None:
-        made = Bar.of(job().artefact).with_(balls=balls)
+        made = Bar.of(shipped_job().artefact).with_(balls=balls)
         assert made.count == balls
         assert np.ptp(made.balls[:, 0]) == pytest.approx(1500.0, abs=0.1)
         assert np.sqrt(np.diagonal(made.covariance)) == pytest.approx(0.8e-3)
-        assert made.cte_standard_uncertainty_per_k == job().artefact.cte_standard_uncertainty_per_k
+        assert made.cte_standard_uncertainty_per_k == shipped_job().artefact.cte_standard_uncertainty_per_k
 
     def test_tilted_holders_set_the_balls_off_by_their_sine(self) -> None:
-        bar = Bar.of(job().artefact)
+        bar = Bar.of(shipped_job().artefact)
         straight, tilted = bar.with_(tilt_deg=0.0).balls, bar.with_(tilt_deg=30.0).balls
         assert np.ptp(straight[:, 1:], axis=0) == pytest.approx([0.0, 0.0])
         assert np.linalg.norm((tilted - straight)[:, 1:], axis=1) == pytest.approx(60.0 * 0.5)
 
     def test_another_artefact_is_refused_with_a_hint(self) -> None:
-        plate = replace(job().artefact, balls=job().artefact.balls[:, [1, 0, 2]])
+        plate = replace(shipped_job().artefact, balls=shipped_job().artefact.balls[:, [1, 0, 2]])
         with pytest.raises(DataError, match="not a bar of equally spaced balls") as caught:
             Bar.of(plate)
         assert "ball-bar-1500" in (caught.value.hint or "")
@@ -226,7 +207,9 @@ class TestPublishedMethod:
         return [one.expected.aligned_um for one in found if one.expected is not None]
 
     def bent_by(self, deflection: DeflectionGrid | None) -> StudyCase:
-        return case(stations=None, job=replace(job(), machine=replace(job().machine, deflection=deflection)))
+        return case(
+            stations=None, job=replace(shipped_job(), machine=replace(shipped_job().machine, deflection=deflection))
+        )
 
     def test_s3_stands_at_the_bend(self) -> None:
         made = self.bent_by(cantilever_deflection(*CASE_STUDY_NODES, CantileverStructure(column_rail_wave_mm=0.0)))
@@ -314,7 +297,7 @@ class TestMisalignment:
 
 
 def strategies(points: list[tuple[float, float | None]]) -> list[strategy.Strategy]:
-    nothing = ProcedureVariant(job().artefact, None)
+    nothing = ProcedureVariant(shipped_job().artefact, None)
     return [strategy.Strategy(str(n), nothing, minutes, (verdict(value),)) for n, (minutes, value) in enumerate(points)]
 
 
@@ -390,4 +373,4 @@ def test_an_artefact_that_is_no_bar_is_told_before_any_work() -> None:
         covariance=np.zeros((9, 9)),
     )
     with pytest.raises(DataError, match="'plate' is not a bar"):
-        ball_count.run(case(job=replace(job(2), artefact=plate)))
+        ball_count.run(case(job=replace(shipped_job(2), artefact=plate)))

@@ -233,7 +233,7 @@ class Tracker:
 RULES = SimpleNamespace(
     retreat=Retreat(1, -50.0, 0, {}),
     probing=SimpleNamespace(stylus_axis=(0.0, 1.0, 0.0), retract_mm=10.0),
-    drift=SimpleNamespace(fault_mm=0.02),
+    drift=SimpleNamespace(limit_mm=0.02),
     placement=None,
 )
 

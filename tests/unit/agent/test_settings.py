@@ -6,9 +6,8 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
+from volcal_command import volcal
 
-from agent.cli.main import main
 from agent.model_files import load_artefact, load_machine
 from agent.planning.job_preparation import prepare_job
 from agent.settings.load import load_settings
@@ -32,8 +31,7 @@ READERS = {
 
 
 def test_committed_schema_is_the_present_one() -> None:
-    printed = CliRunner().invoke(main, ["config", "schema"])
-    assert printed.exit_code == 0
+    printed = volcal("config", "schema")
     committed = (CONFIG / "schema" / "settings.json").read_text()
     assert printed.stdout == committed, "run `make schema`"
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 from journaled import SETTINGS
+from volcal_command import volcal
 
 from agent.cli.main import main
 from agent.execution.engine import Engine
@@ -76,13 +77,11 @@ def test_the_steps_of_a_run_are_those_of_its_procedure(tmp_path: Path) -> None:
     config = tmp_path / "volcal.toml"
     config.write_text(CASE_STUDY.read_text().replace('"../runs"', f'"{tmp_path / "state"}"'))
     file = tmp_path / "run.csv"
-    done = CliRunner().invoke(main, ["report", "last", "--config", str(config), "--steps", str(file)])
-    assert done.exit_code == 0, done.output
+    volcal("report", "last", "--config", config, "--steps", file)
     assert rows(file) == [{"key": "measure/move", "minutes": "0.0000"}, {"key": "measure/wait", "minutes": "1.5000"}]
 
 
 def test_a_file_that_cannot_be_written_is_an_error_of_the_user(tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("")
-    done = CliRunner().invoke(main, [*SHORT, "--steps", str(tmp_path / "taken" / "plan.csv")])
-    assert done.exit_code == 2
+    done = volcal(*SHORT, "--steps", tmp_path / "taken" / "plan.csv", exit_code=2)
     assert "error: " in done.output

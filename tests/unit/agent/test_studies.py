@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import inspect
 import json
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -12,14 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from study_case import study_case
 
 from agent.figures.style import picture
 from agent.files import check_folder
 from agent.planning.case_file import CASE_STUDY, load_case
 from agent.studies import STUDIES, monte_carlo
-from agent.studies.study import StudyCase, StudyResult, run_study
+from agent.studies.study import StudyResult, run_study
 from agent.studies.study_files import document, format_rows, write_result
-from agent.studies.workers import LocalWorkers
 from drivers.errors import InputError
 from twin.artefact.position_set import parse_position_set
 from twin.errors import TwinError
@@ -57,17 +58,7 @@ def result(**changes: object) -> StudyResult:
     return StudyResult(**{**made, **changes})  # type: ignore[arg-type]
 
 
-def case(**changes: object) -> StudyCase:
-    made = {
-        "job": load_case(CASE_STUDY, stations=2),
-        "options": Options(),
-        "seed": 5,
-        "machines": 4,
-        "workers": LocalWorkers(1),
-        "progress": lambda *_: None,
-        "prove": lambda _: None,
-    }
-    return StudyCase(**{**made, **changes})  # type: ignore[arg-type]
+case = partial(study_case, seed=5)
 
 
 class TestFiles:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from volcal_command import volcal, volcal_json
 
-from agent.cli.main import main
 from agent.errors import Aborted
 from agent.execution.steps import AskOperator, MoveTo, OrientTo, Step, TouchTowards
 from agent.planning.case_file import CASE_STUDY
@@ -174,9 +172,7 @@ def test_a_position_out_of_reach_takes_no_time() -> None:
 
 
 def test_the_plan_says_what_the_time_is_spent_on() -> None:
-    done = CliRunner().invoke(main, ["plan", "--config", str(CASE_STUDY), "--stations", "2", "--json"])
-    assert done.exit_code == 0, done.output
-    said = json.loads(done.stdout)
+    said = volcal_json("plan", "--config", CASE_STUDY, "--stations", "2")
     parts = said["minutes_by_station"]
     assert list(parts) == ["2"]
     assert list(parts["2"]) == list(PARTS)
@@ -187,8 +183,7 @@ def test_the_plan_says_what_the_time_is_spent_on() -> None:
 
 
 def test_the_plan_shows_a_row_for_each_station() -> None:
-    done = CliRunner().invoke(main, ["plan", "--config", str(CASE_STUDY), "--stations", "2,3"])
-    assert done.exit_code == 0, done.output
+    done = volcal("plan", "--config", CASE_STUDY, "--stations", "2,3")
     table = done.stdout.split("machine minutes", 1)[1].split("forecast of the gates", 1)[0]
     rows = [line.strip("│ ").split("│") for line in table.splitlines() if line.startswith("│")]
     assert [row[0].strip() for row in rows] == ["2", "3", "all"]

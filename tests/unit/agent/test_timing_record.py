@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from volcal_command import volcal, volcal_json
 
-from agent.cli.main import main
 from agent.execution.engine import Engine
 from agent.execution.journal import Journal
 from agent.execution.journal_rows import StepRow
@@ -133,9 +132,7 @@ def slow_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_command_finds_what_a_run_took(slow_run: Path) -> None:
-    done = CliRunner().invoke(main, ["timing", str(slow_run), "--json"])
-    assert done.exit_code == 0, done.output
-    said = json.loads(done.stdout)
+    said = volcal_json("timing", slow_run)
     assert said["timing"] == {
         "command_latency_s": 0.02,
         "touch_latency_s": 0.1,
@@ -152,8 +149,7 @@ def test_the_command_finds_what_a_run_took(slow_run: Path) -> None:
 
 
 def test_the_command_prints_what_to_write_into_the_settings(slow_run: Path) -> None:
-    done = CliRunner().invoke(main, ["timing", str(slow_run)])
-    assert done.exit_code == 0, done.output
+    done = volcal("timing", slow_run)
     assert done.stdout.endswith(
         "[timing]\ncommand_latency_s = 0.02\ntouch_latency_s = 0.1\nturn_latency_s = 0.6\nrelocation_minutes = 1.5\n"
     )
@@ -176,6 +172,5 @@ def test_a_run_without_steps_teaches_nothing(tmp_path: Path) -> None:
     journal = Journal(tmp_path)
     journal.start_run("idle", "calibrate", case_study_job().settings.model_dump(mode="json"), "0", VirtualClock())
     journal.close()
-    done = CliRunner().invoke(main, ["timing", str(tmp_path / "idle")])
-    assert done.exit_code == 2
+    done = volcal("timing", tmp_path / "idle", exit_code=2)
     assert "no step from which latencies can be derived" in done.output

@@ -6,34 +6,21 @@ import csv
 import json
 import math
 from collections.abc import Mapping
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from study_case import study_case
 
-from agent.planning.case_file import CASE_STUDY, load_case
-from agent.studies.study import StudyCase, StudyResult
+from agent.studies.study import StudyResult
 from agent.studies.study_files import write_result
 from agent.studies.uncertainty import COLUMNS, TOGETHER, extended_family, isolated_influences, run, study_assumptions
-from agent.studies.workers import LocalWorkers
-from twin.identification import Options
 from twin.uncertainty.error_budget import INFLUENCES
 
 MACHINES = 40
-
-
-def case(machines: int = MACHINES) -> StudyCase:
-    return StudyCase(
-        job=load_case(CASE_STUDY, stations=2),
-        options=Options(),
-        seed=4,
-        machines=machines,
-        workers=LocalWorkers(1),
-        progress=lambda what, done, total: None,
-        prove=lambda _: None,
-    )
+case = partial(study_case, seed=4, machines=MACHINES)
 
 
 @cache
@@ -112,4 +99,4 @@ def test_its_files_are_complete(tmp_path: Path) -> None:
 
 
 def test_the_same_seed_gives_the_same_numbers() -> None:
-    assert run(case(3)).rows == run(case(3)).rows
+    assert run(case(machines=3)).rows == run(case(machines=3)).rows

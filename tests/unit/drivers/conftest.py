@@ -1,4 +1,4 @@
-"""Virtual time, and a PLC in it."""
+"""Virtual time, a PLC in it, and the Modbus driver connected to this PLC."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from contextlib import closing
 
 import pytest
 from modbus_plc import FakePlc
+from modbus_rig import opened
 
 from drivers.clock import VirtualClock
+from drivers.modbus_cnc.device import ModbusCnc
 
 
 @pytest.fixture
@@ -21,3 +23,9 @@ def plc(clock: VirtualClock) -> Iterator[FakePlc]:
     with closing(FakePlc()) as server:
         clock.subscribe(server.advance_to)
         yield server
+
+
+@pytest.fixture
+def cnc(plc: FakePlc, clock: VirtualClock) -> Iterator[ModbusCnc]:
+    with opened(plc, clock) as device:
+        yield device

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -36,12 +35,6 @@ from drivers.roles import (
 )
 
 START = (100.0, 200.0, 300.0)
-
-
-@pytest.fixture
-def cnc(plc: FakePlc, clock: VirtualClock) -> Iterator[ModbusCnc]:
-    with opened(plc, clock) as device:
-        yield device
 
 
 def test_it_implements_four_roles(cnc: ModbusCnc) -> None:
@@ -244,9 +237,9 @@ def test_in_position_is_not_believed_if_the_reported_position_is_off(
 def test_a_touch_that_misses_short_of_its_target_is_not_believed(cnc: ModbusCnc, plc: FakePlc) -> None:
     end = plc._halt
 
-    def short_of_the_target(state: int, outcome: int) -> None:
-        plc.set_words(1012, "3d", 119.0, 200.0, 300.0)
-        end(state, outcome)
+    def short_of_the_target(state: int, outcome: int, fault: int = 0) -> None:
+        plc.put_numbers(1012, 119.0, 200.0, 300.0)
+        end(state, outcome, fault)
 
     plc._halt = short_of_the_target  # type: ignore[method-assign]
     with pytest.raises(MotionFault, match=r"TOUCH ended off its target: X target 120\.0000 mm, reported 119\.0000 mm"):
@@ -424,7 +417,7 @@ def test_a_fault_of_the_lost_heartbeat_is_cleared_when_the_agent_is_back(plc: Fa
 def test_implausible_limits_are_refused(
     plc: FakePlc, clock: VirtualClock, address: int, fmt: str, value: float
 ) -> None:
-    plc.set_words(address, fmt, value)
+    plc.put(address, fmt, value)
     with pytest.raises(ProtocolError, match="the controller reports implausible limits"), opened(plc, clock):
         pass
 

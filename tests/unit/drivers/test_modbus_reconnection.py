@@ -125,7 +125,7 @@ def test_a_lost_link_while_an_axis_moves_ends_the_motion(cnc: ModbusCnc, plc: Fa
     assert cnc.interruptions() == 0
     clock.sleep(2.0)
     assert plc.registers[1005] == 6  # the controller's own watchdog has stopped the axes
-    stood_at = plc.get_words(1012, "3d")
+    stood_at = plc.triple(1012)
     assert stood_at[0] < 100.0 + 100.0 * (dropped[0] + 1.5)
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import closing
 from dataclasses import replace
 from typing import Any
 
@@ -13,34 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from modbus_plc import FakePlc
 
-from drivers.clock import VirtualClock
 from drivers.errors import ChecksumMismatch, LinkLost, ProtocolError, ReadBackMismatch, StoreError
 from drivers.modbus_cnc.device import ModbusCnc
-from drivers.modbus_cnc.settings import ModbusCncSettings
-from drivers.modbus_cnc.table import block_count, data_blocks, table_bytes
+from drivers.modbus_cnc.store import block_count, data_blocks, table_bytes
 from drivers.roles import Activation, TableImage
 
 
 def table_of(shape: tuple[int, int, int], seed: int = 1) -> TableImage:
     counts = np.random.default_rng(seed).integers(-5000, 5000, (*shape, 3), dtype=np.int32)
     return TableImage((0.0, -1.5, 2.25), (68.4, 100.0, 10.0), 0.0001, counts)
-
-
-@pytest.fixture
-def plc() -> Iterator[FakePlc]:
-    with closing(FakePlc()) as server:
-        yield server
-
-
-@pytest.fixture
-def cnc(plc: FakePlc) -> Iterator[ModbusCnc]:
-    clock = VirtualClock()
-    clock.subscribe(plc.advance_to)
-    settings = ModbusCncSettings(host="127.0.0.1", port=plc.port, timeout_s=5.0)
-    device = ModbusCnc(settings, clock, "cnc")
-    device.open()
-    with closing(device):
-        yield device
 
 
 def test_limits_say_what_the_store_can_represent(cnc: ModbusCnc) -> None:
@@ -140,7 +119,7 @@ def test_data_corrupted_on_the_way_fails_the_commit(cnc: ModbusCnc, plc: FakePlc
 
     def take_with_a_flipped_bit() -> None:
         if plc.registers[2320] == 2:
-            plc.registers[2210] ^= 0x0100
+            plc.registers[2211] ^= 1
         taken()
 
     plc._take_block = take_with_a_flipped_bit  # type: ignore[method-assign]
@@ -151,8 +130,8 @@ def test_data_corrupted_on_the_way_fails_the_commit(cnc: ModbusCnc, plc: FakePlc
 
 
 def test_data_changed_after_the_commit_is_detected_by_reading_back(cnc: ModbusCnc, plc: FakePlc) -> None:
-    def flip(blocks: dict[int, bytes]) -> None:
-        blocks[1] = b"\x01" + blocks[1][1:]
+    def flip(counts: list[int]) -> None:
+        counts[0] ^= 0x0100_0000
 
     plc.corrupt_data = flip
     with pytest.raises(ChecksumMismatch, match="CRC-32 of the data read"):
@@ -160,13 +139,13 @@ def test_data_changed_after_the_commit_is_detected_by_reading_back(cnc: ModbusCn
 
 
 def test_another_table_with_a_right_checksum_is_a_read_back_mismatch(cnc: ModbusCnc, plc: FakePlc) -> None:
-    commit = plc._commit
+    begin = plc._begin_table
 
-    def commit_with_another_origin(bank: int, crc: int) -> int:
-        plc.set_words(2104, "d", 17.0)
-        return commit(bank, crc)
+    def begin_with_another_origin(bank: int, _crc: int) -> int:
+        plc.put_numbers(2104, 17.0)
+        return begin(bank, _crc)
 
-    plc._commit = commit_with_another_origin  # type: ignore[method-assign]
+    plc._begin_table = begin_with_another_origin  # type: ignore[method-assign]
     with pytest.raises(ReadBackMismatch, match="bank 1 reads back differently"):
         cnc.stage(1, table_of((5, 5, 2)))
 
@@ -220,7 +199,7 @@ def test_a_nonce_too_late_activates_nothing(cnc: ModbusCnc, plc: FakePlc) -> Non
 
     def arm_for_no_time(bank: int, crc: int) -> int:
         result = arm(bank, crc)
-        plc._armed_until_s = -1.0
+        plc.armed_until_s = -1.0
         return result
 
     plc._arm = arm_for_no_time  # type: ignore[method-assign]

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from benchmarks.family import AMPLITUDES, RANGES, TOOL
 from twin.artefact.artefact import Artefact, ball_bar
 from twin.artefact.mount_geometry import MountGeometry
 from twin.artefact.observations import Observations
@@ -15,16 +16,6 @@ from twin.machine.forward_model import exact_deviation
 from twin.machine.kinematic_chain import parse_chain
 from twin.machine.machine_population import Family, family_from_amplitudes
 
-RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
-TOOL = np.array([0.0, 250.0, 0.0])
-AMPLITUDES: dict[str, float | list[float]] = {
-    "positioning_um": [8.0, 5.0, 3.0, 1.8, 1.1],
-    "straightness_um": [5.5, 3.3, 2.0, 1.2],
-    "rotation_urad": [4.6, 2.8, 1.7, 1.0, 0.6],
-    "squareness_urad": 9.0,
-    "cross_displacement_um": 4.5,
-    "cross_rotation_urad": 3.0,
-}
 Deviation = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 

@@ -9,17 +9,17 @@ import pytest
 from measured_set import RANGES, case_study
 
 from twin.identification.misfit import misfit_modes
-from twin.machine import deflection_forms
 from twin.machine.deflection import DeflectionGrid
 from twin.machine.forward_model import deviation_basis
 from twin.machine.rigid_motion import rigid_fields
 from twin.machine.volumetric import evaluation_grid, rms
+from twin.uncertainty import random_machines
 
 FORMS = [
-    deflection_forms.portal_deflection,
-    deflection_forms.rail_deflection,
-    deflection_forms.thermal_deflection,
-    deflection_forms.smooth_random_deflection,
+    random_machines.portal_deflection,
+    random_machines.rail_deflection,
+    random_machines.thermal_deflection,
+    random_machines.smooth_random_deflection,
 ]
 POINTS = evaluation_grid(RANGES, (16, 9, 9))
 Form = Callable[..., DeflectionGrid]

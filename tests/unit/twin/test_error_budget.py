@@ -14,9 +14,9 @@ from twin.errors import DataError, ModelError
 from twin.identification import identify
 from twin.identification.options import Options
 from twin.machine.deflection import CASE_STUDY_NODES, cantilever_deflection
+from twin.machine.error_model import motion_uncertainty
 from twin.machine.forward_model import exact_deviation
 from twin.machine.machine_population import Family
-from twin.machine.motion_uncertainty import motion_uncertainty
 from twin.machine.volumetric import evaluation_grid
 from twin.uncertainty.error_budget import INFLUENCES, ErrorBudget, error_budget, error_budget_of_form
 from twin.uncertainty.residual_field_form import FieldForm
