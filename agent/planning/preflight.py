@@ -2,7 +2,7 @@
 
 The plan is the one that the run will carry out, walked in every branch (`agent.planning.branch_walk`). The simulation
 runs in virtual time. The simulated machine moves like the real machine, and the time model of the run
-(`agent.planning.time_model`) adds the latencies of the commands.
+(`agent.planning.time_model`) adds the latencies of the commands. One simulated device has all roles of the rig.
 """
 
 from __future__ import annotations
@@ -12,16 +12,19 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from agent.errors import Aborted, Interrupted, MeasurementFault, PlanRefused
+from agent.execution.device_assembly import mount_at_station, stations_of
+from agent.execution.rig import Rig, in_role
 from agent.execution.steps import Point
 from agent.planning.branch_walk import Branch, BranchWalk
 from agent.planning.cycle_time import TimedStep
 from agent.planning.job import Job, Planner
-from agent.planning.preflight_rig import assemble_preflight_rig
 from agent.planning.safety_rules import safety_rules
 from agent.planning.time_model import time_model
 from agent.probing.run_plan import MEASURED, VERIFIED, MeasuredPositions, position_key
 from drivers.clock import VirtualClock, wall_seconds
 from drivers.errors import ConfigurationError, DeviceError
+from drivers.registry import DeviceContext, create_device
+from drivers.roles import CompensationStore, Machine, Operator, Probe, Thermometer
 from twin.units import S_PER_MIN
 
 NOTHING_MEASURED = MeasuredPositions((), (), 0, None, {})
@@ -156,3 +159,59 @@ def _require_measured(branch: Branch) -> None:
             key="verification.positions_deg",
             hint="choose orientations that the machine reaches at the stations of `verification`",
         )
+
+
+def assemble_preflight_rig(job: Job, clock: VirtualClock, start_mm: Point | None) -> Rig:
+    """Return a rig for the simulated execution of the plan of `job`. One simulated device has all roles: machine,
+    probe, mount and so on.
+
+    The setting `preflight.driver` names the driver of this device. The device simulates the machine described by the
+    machine file, but without geometric errors, because a preflight checks only the procedure.
+    """
+    settings = job.settings
+    options: dict[str, object] = {
+        "machine": str(settings.machine),
+        "artefact": str(settings.artefact),
+        "tool": settings.tool,
+        "mount": vars(settings.mount),
+        "probe": vars(job.layout.probe),
+        "stations_mm": [list(place) for place in settings.stations.places_mm],
+        "standing_at": settings.stations.standing_at or 1,
+        "mount_behaviour": settings.timing.model_dump(include={"speed_deg_per_s", "acceleration_deg_per_s2"}),
+        "ideal": True,
+        **_own_at_stations(job),
+    }
+    if start_mm is not None:
+        options["start_mm"] = list(start_mm)
+    context = DeviceContext("preflight", clock, settings.machine.parent)
+    device = create_device(settings.preflight.driver, options, context)
+    devices = {"preflight": device}
+    return Rig(
+        devices=devices,
+        machine=in_role(devices, "preflight", Machine, "preflight.driver"),
+        probe=in_role(devices, "preflight", Probe, "preflight.driver"),
+        mounts={
+            n: mount_at_station(devices, "preflight", n, "preflight.driver")
+            for n in stations_of(settings.stations)
+            if not settings.stations.placed_by_hand
+        },
+        store=in_role(devices, "preflight", CompensationStore, "preflight.driver"),
+        thermometer=in_role(devices, "preflight", Thermometer, "preflight.driver"),
+        operator=in_role(devices, "preflight", Operator, "preflight.driver"),
+        clock=clock,
+    )
+
+
+def _own_at_stations(job: Job) -> dict[str, object]:
+    """Return additional options of the simulated machine if the artefact is placed by hand or if each station has a
+    mount of its own, else an empty dict."""
+    change, settings = job.rules.change, job.settings
+    if settings.stations.placed_by_hand:
+        return {"placed_by_hand": {}}
+    if not change.own_mounts:
+        return {}
+    return {
+        "own_mounts": True,
+        "artefacts": [str(path) for path in settings.stations.artefacts or ()],
+        "mounts_deg": [list(change.parked_deg)] * len(change.own_mounts),
+    }

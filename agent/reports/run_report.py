@@ -2,6 +2,10 @@
 
 Values on which decisions were based are not computed again. The estimate, the residuals and the summary values are
 taken from the record.
+
+At the end of every position, the first ball is measured again, and its displacement is recorded. The report summarises
+all these displacements in one line, and lists a single displacement only if it exceeds a limit. The report lists every
+event that required a decision.
 """
 
 from __future__ import annotations
@@ -13,13 +17,14 @@ from typing import Any
 
 import numpy as np
 
+from agent.execution.journal_rows import EventRow
 from agent.execution.run_record import RunRecord
 from agent.files import translated
-from agent.reports.journal_estimate import journal_estimate
-from agent.reports.night_facts import night_facts
 from agent.reports.page import (
+    EventLine,
     Header,
     IdentificationData,
+    NightFacts,
     Provenance,
     QuestionFacts,
     ReportData,
@@ -29,12 +34,14 @@ from agent.reports.page import (
     VerifiedPosition,
     name_of_positions,
 )
+from agent.reports.page.data import JournalEstimate
+from agent.reports.page.number_format import fixed
 from agent.reports.page.texts import ENGLISH, Texts
-from agent.reports.shown_events import drifts_um, shown_events
 from agent.results.artefact_calibration import calibration_warnings
 from agent.results.decision_kinds import HELD_OUT, IDENTIFIED, INPUTS, OUTCOME, PROBE
 from agent.results.facts import ArtefactFacts, ProbeFacts, ProbeRing, Quantity, TableFacts, VolumetricSummary
 from agent.results.gates import Gate
+from agent.results.run_outcome import Decision
 from agent.results.travel_parts import TravelParts
 from agent.thermal.thermometer import ThermometerFacts
 from drivers.errors import InputError
@@ -43,6 +50,8 @@ from twin.artefact.position_set import Position
 from twin.formats.estimate_file import StoredEstimate, parse_estimate
 
 TITLES = {"calibrate": "Calibration", "verify": "Verification", "nightly": "Night", "try": "Trial of one ball"}
+GOOD = (Decision.WITHIN, Decision.FUSED, Decision.WRITTEN, Decision.FULL_DONE)
+"""Decisions of a night that leave the machine as it should be."""
 
 
 def report_of(record: RunRecord, trend: str = "", texts: Texts = ENGLISH) -> ReportData:
@@ -102,7 +111,7 @@ def _found(record: RunRecord) -> IdentificationData | None:
         return None
     return IdentificationData(
         observations=Observations(**identified["observations"]),
-        estimate=journal_estimate(_stored(record), identified["unresolved_mm2"]),
+        estimate=JournalEstimate(**vars(_stored(record)), unresolved_mm2=identified["unresolved_mm2"]),
         residuals_mm=np.array(identified["residuals_mm"], dtype=np.float64),
         positions=measured_positions(record),
         volumetric=_volumetric(identified["volumetric"]),
@@ -248,3 +257,107 @@ def _warnings(record: RunRecord, found: IdentificationData | None, texts: Texts)
     notes += calibration_warnings(found.estimate.artefact_calibration)
     at_bounds = _stored(record).document.scales_at_bounds
     return (*notes, *(texts["scale_at_bounds"].format(text=text[0].upper() + text[1:]) for text in at_bounds))
+
+
+def shown_events(record: RunRecord) -> tuple[EventLine, ...]:
+    kept = [note for note in record.events if not _routine(note)]
+    drifts = [note for note in record.events if _drift_um(note) is not None]
+    lines = [EventLine(note.at, note.kind, _line(note)) for note in kept]
+    if drifts:
+        largest = max(_drift_um(note) or 0.0 for note in drifts)
+        text = f"first ball measured again in {len(drifts)} positions, largest displacement {largest:.1f} µm"
+        lines.append(EventLine(drifts[-1].at, "event", text))
+    return tuple(sorted(lines, key=lambda line: line.timestamp))
+
+
+def drifts_um(record: RunRecord) -> tuple[float, ...]:
+    """Return the drift of each position in µm, in the order of measurement. The drift is the displacement of the
+    position's first ball when it is measured again at the end of the position."""
+    found = (_drift_um(note) for note in record.events)
+    return tuple(one for one in found if one is not None)
+
+
+def _routine(note: EventRow) -> bool:
+    record = note.record
+    drift_um = _drift_um(note)
+    if drift_um is not None:
+        return "note" not in record and bool(drift_um <= record["limit_um"])
+    return note.kind == "asked" or str(record.get("step", "")).endswith("/found")
+
+
+def _drift_um(note: EventRow) -> float | None:
+    values = note.record.get("drift_um")
+    return None if values is None or "limit_um" not in note.record else float(np.linalg.norm(values))
+
+
+def _line(note: EventRow) -> str:
+    """Return the text of an event: the name of the new state and the reason, or the record in words."""
+    if note.kind == "state":
+        reason = note.record.get("reason")
+        return f"{note.record['state']}: {reason}" if reason else str(note.record["state"])
+    if note.kind == "note":
+        others = record_in_words({name: value for name, value in note.record.items() if name != "text"})
+        return f"{note.record['text']} ({others})" if others else str(note.record["text"])
+    return record_in_words(note.record)
+
+
+def record_in_words(record: Mapping[str, Any]) -> str:
+    """Return a journal record as a text of the form `name value, name value`. Floats have four significant digits, and
+    empty values are left out."""
+    return ", ".join(f"{name} {_shown(value)}" for name, value in record.items() if value not in ("", None))
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, list):
+        return "[" + ", ".join(_shown(part) for part in value) + "]"
+    return str(value)
+
+
+def night_of(record: RunRecord) -> Mapping[str, Any] | None:
+    """Return the result of a nightly run or a verification from the record of the run; None if `record` contains no
+    such result."""
+    outcome = record.decision(OUTCOME) or {}
+    found: Mapping[str, Any] | None = outcome.get("night") or record.decision("night") or record.decision("verify")
+    return found
+
+
+def night_facts(record: RunRecord) -> NightFacts | None:
+    night = night_of(record)
+    if night is None:
+        return None
+    return NightFacts(
+        decision=night["decision"],
+        good=night["decision"] in [decision.value for decision in GOOD],
+        since=night["since"],
+        rows=tuple(_night_rows(night)),
+        ve_now_um=night["ve_now_um"],
+        ve_before_um=night["ve_before_um"],
+    )
+
+
+def _night_rows(night: Mapping[str, Any]) -> list[tuple[str, str]]:
+    held_out, expected = _um(night["held_out_um"]), _um(night["held_out_predicted_um"])
+    chi2 = night["chi2_normalised"]
+    return [
+        ("Nights since", fixed(night["nights"], 1)),
+        ("Measured", f"{night['positions']} positions at station {night['station']}"),
+        ("VE after that night", _um(night["ve_before_um"])),
+        ("VE now", _um(night["ve_now_um"])),
+        ("VE with an updated table", _um(night["ve_after_um"])),
+        ("Held-out balls, rms", f"{held_out}, expected {expected}"),
+        ("Consistency with the prediction", "–" if chi2 is None else f"normalised χ² {fixed(chi2, 2)}"),
+        ("Abrupt changes", _error_changes(night["jumped"]) or "none"),
+        ("Most likely cause", _error_changes(night["likeliest"]) or "–"),
+        *([("Warning", night["warning"])] if night.get("warning") else []),
+        ("Reason", night["reason"] or "none"),
+    ]
+
+
+def _error_changes(found: list[Mapping[str, Any]]) -> str:
+    return "; ".join(f"{one['error']} {one['change']:+.1f} {one['unit']} (ln {one['evidence']:.1f})" for one in found)
+
+
+def _um(value: float | None) -> str:
+    return "–" if value is None else f"{fixed(value, 2)} µm"

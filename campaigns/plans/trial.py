@@ -18,12 +18,12 @@ from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
 from agent.runs.run_context import RunHooks
 from agent.runs.session import RunResult, carry_out
-from agent.runs.steps_comparison import walked_branch
 from benchmarks.places import memory_directory
 from campaigns.nights.play import build_rig
 from campaigns.plans.collision_check import CollisionJudge, JudgeResult
 from campaigns.plans.motion_run import AlarmClock, CalibrationWithoutIdentification
 from campaigns.plans.random_cases import DrawnCase, draw
+from campaigns.plans.steps_comparison import walked_branch
 from drivers.errors import UserError, VolcalError
 from simulators.world.world import World
 

@@ -25,9 +25,9 @@ from agent.runs.kinds.calibrate import FullCalibration
 from agent.runs.planned_run import Kind
 from agent.runs.run_context import RunHooks
 from agent.runs.session import RunResult, carry_out
-from agent.runs.steps_comparison import walked_branch
 from agent.settings.schema import Settings
 from campaigns.aborts.case import LENIENT
+from campaigns.plans.steps_comparison import walked_branch
 from drivers.clock import Clock, VirtualClock
 from drivers.roles import TableImage
 from simulators.backend import SimulatedMachineDevice

@@ -27,7 +27,6 @@ SMALL = {
     "one module a table format": ("twin.compensation.controllers.gcode_csv", "twin.compensation.controllers.neutral"),
     "a program of its own": ("agent.service.http.description", "campaigns.fortnight.serving"),
     "a role, apart from the processes that play it": ("agent.reports.renderer",),
-    "the only module that knows every endpoint of the service": ("agent.service.daemon.extensions",),
     "sqlite3 is confined to the journal's own modules": ("agent.execution.journal_copy",),
     "it logs, and the rest of its room does not": ("agent.history.feed",),
     "one step of the run, beside its siblings": ("agent.runs.resume.abandon",),

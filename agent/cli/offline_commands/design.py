@@ -24,9 +24,8 @@ if will_run():
     from agent.files import translated
     from agent.planning.case_file import load_case
     from agent.planning.cycle_time import machine_minutes
-    from agent.planning.design.comparison import VariantDesign, compare_variants
     from agent.planning.design.design_files import check_target, write_design
-    from agent.planning.design.design_result import DesignResult
+    from agent.planning.design.design_result import DesignResult, VariantDesign, compare_variants
     from agent.planning.design.pareto_figure import ReferenceSet
     from agent.planning.design.set_valuation import valuation_of
     from agent.planning.design.variants import variants_of

@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 from itertools import combinations, product
 from typing import Self, TypeAlias
 
-from agent.reports.journal_estimate import JournalEstimate
+import numpy as np
+
 from agent.results.facts import ArtefactFacts, ProbeFacts, Quantity, TableFacts, VolumetricSummary
 from agent.results.gates import Gate
 from agent.results.travel_parts import TravelParts
@@ -19,7 +20,74 @@ from agent.thermal.thermometer import ThermometerFacts
 from twin.arrays import Array
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import POSITION_SETS, Position, set_orientations
-from twin.identification import Estimate
+from twin.formats.estimate_file import StoredEstimate
+from twin.identification import Estimate, Misfit, Scales
+
+
+@dataclass(frozen=True, eq=False)
+class JournalEstimate(StoredEstimate):
+    """Estimate read from the journal of a run.
+
+    `unresolved_mm2` is the variance, in mm² for each direction, of a part of the misfit. This part varies over
+    distances too short for the functions (modes) by which the misfit is estimated.
+    """
+
+    unresolved_mm2: float
+
+    @property
+    def formulation(self) -> str:
+        return self.document.formulation
+
+    @property
+    def standard_uncertainty(self) -> Array:
+        """Standard uncertainties (p,) of the p parameters of the error model, each in mm or rad."""
+        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
+
+    @property
+    def chi2_normalised(self) -> float:
+        return self.document.chi2_normalised
+
+    @property
+    def degrees_of_freedom(self) -> float:
+        return self.document.degrees_of_freedom
+
+    @property
+    def rejected(self) -> tuple[tuple[int, int, int], ...]:
+        """Position, ball and tool of each rejected measurement."""
+        return tuple((row.position, row.ball, row.tool) for row in self.document.rejected)
+
+    @property
+    def scales(self) -> Scales:
+        return self.document.scales.scales
+
+    @property
+    def rank(self) -> int:
+        return self.document.rank
+
+    @property
+    def conditioning(self) -> float:
+        return self.document.conditioning
+
+    @property
+    def null_summary(self) -> tuple[str, ...]:
+        return self.document.null_summary
+
+    @property
+    def misfit(self) -> Misfit | None:
+        """Estimated part of the error field that the error model cannot represent; None if it was not estimated."""
+        unknowns = self.unknowns
+        if unknowns.modes is None:
+            return None
+        own, misfit = unknowns.blocks.parameters, unknowns.blocks.misfit
+        return Misfit(
+            modes=unknowns.modes,
+            amplitude_mm=unknowns.misfit_mm,
+            coefficients=self.z[misfit],
+            covariance=self.z_covariance[misfit, misfit],
+            cross_covariance=unknowns.scale[:, None] * self.z_covariance[own, misfit],
+            unresolved_mm2=self.unresolved_mm2,
+        )
+
 
 ReportedEstimate: TypeAlias = Estimate | JournalEstimate
 """Estimate of the machine's errors that has just been made, or that was read from the journal of a run."""

@@ -13,8 +13,7 @@ from fastapi import FastAPI
 from agent.execution.run_lock import Ownership, ownership
 from agent.model_files import load_machine
 from agent.service.control import Control
-from agent.service.daemon.endpoints import open_endpoints
-from agent.service.daemon.extensions import further_endpoints, http_extensions
+from agent.service.daemon.endpoints import further_endpoints, http_extensions, open_endpoints
 from agent.service.daemon.main_loop import MainLoop, queued_signals
 from agent.service.daemon.sd_notify import Notifier
 from agent.service.http.app import create_app

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from agent.planning.branch_walk import Branch
-from agent.runs.steps_comparison import walked_branch
+from campaigns.plans.steps_comparison import walked_branch
 
 BALL = "measure/station-1/az45-el0/ball-03"
 KEYS = (
