@@ -245,11 +245,11 @@ def test_another_unit_is_silent(program: Path) -> None:
 
 def test_a_slow_peer_is_waited_for_and_one_too_slow_is_not() -> None:
     registers = IdealRegisters()
-    with py_modbus_tcp(registers, timeout_s=0.8, retries=0) as cnc:
+    with py_modbus_tcp(registers, timeout_s=2.0, retries=0) as cnc:
         registers.answer_after_s = 0.1
         cnc.move_to(np.array([150.0, 100.0, 100.0]), feed_mm_per_s=None, guarded=False)
         assert cnc.position()[0] == pytest.approx(150.0)
-        registers.answer_after_s = 1.5
-        with pytest.raises(LinkTimeout, match=r"no answer within 0\.8 s"):
+        registers.answer_after_s = 3.0
+        with pytest.raises(LinkTimeout, match="no answer within 2 s"):
             cnc.move_to(np.array([140.0, 100.0, 100.0]), feed_mm_per_s=None, guarded=False)
         registers.answer_after_s = 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -10,11 +11,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from modbus_plc import FakePlc
+from modbus_rig import opened
 
+from drivers.clock import VirtualClock
 from drivers.errors import ChecksumMismatch, LinkLost, ProtocolError, ReadBackMismatch, StoreError
 from drivers.modbus_cnc.device import ModbusCnc
 from drivers.modbus_cnc.store import block_count, data_blocks, table_bytes
 from drivers.roles import Activation, TableImage
+
+
+@pytest.fixture
+def cnc(plc: FakePlc, clock: VirtualClock) -> Iterator[ModbusCnc]:
+    """Driver that waits long for the many answers of a transfer."""
+    with opened(plc, clock, timeout_s=5.0) as device:
+        yield device
 
 
 def table_of(shape: tuple[int, int, int], seed: int = 1) -> TableImage:

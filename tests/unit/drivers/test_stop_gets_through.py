@@ -224,7 +224,7 @@ class TestLinuxCnc:
             command = (sys.executable, str(Path(__file__).with_name("linuxcnc_fake_bridge.py")), str(file))
             made.append(
                 BridgeLink(
-                    command, response_timeout_s=2.0, watchdog_timeout_s=0.0, heartbeat_timeout_s=1.0, device="cnc"
+                    command, response_timeout_s=5.0, watchdog_timeout_s=0.0, heartbeat_timeout_s=1.0, device="cnc"
                 )
             )
             made[-1].open()
