@@ -16,14 +16,13 @@ terms.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq
 
 from twin.arrays import Array, as_vector
 from twin.errors import DataError
@@ -162,7 +161,7 @@ class QuadraticDistribution:
         lower = 0.5 * upper
         while self._at_most(lower) > probability:
             lower *= 0.5
-        root: float = brentq(lambda above: self._at_most(above) - probability, lower, upper, xtol=1e-13 * lower)
+        root = root_between(lambda above: self._at_most(above) - probability, lower, upper, 1e-13 * lower)
         return self.least + root
 
     def _at_most(self, above: float) -> float:
@@ -244,7 +243,7 @@ class QuadraticDistribution:
         low = min(middle, 1.0 / (self._slope(middle, 0.0) + 1.0 / middle))
         # `high` has a positive slope: there the term of the largest λ alone gives K' ≥ 2 above + 8 λ, and 1/s < 3 λ.
         high = pole * (1.0 - 0.5 * largest / (above + 4.0 * largest))
-        return float(brentq(self._slope, low, high, args=(above,)))
+        return root_between(lambda s: self._slope(s, above), low, high)
 
     def _lower_saddle(self, above: float) -> float:
         """Return the saddle left of zero, where the slope rises from -above to ∞."""
@@ -253,13 +252,22 @@ class QuadraticDistribution:
         low = 2.0 * high
         while self._slope(low, above) > 0.0:
             low *= 2.0
-        return float(brentq(self._slope, low, high, args=(above,)))
+        return root_between(lambda s: self._slope(s, above), low, high)
 
     def _curvature(self, saddle: float) -> float:
         """Return the second derivative of the exponent at the saddle point."""
         left = 1.0 - 2.0 * saddle * self.weights
         ratio, swelling = self.weights / left, self.shifts**2 / left
         return float((2.0 * ratio**2 * (1.0 + 2.0 * swelling)).sum()) + saddle**-2
+
+
+def root_between(function: Callable[[float], float], low: float, high: float, tolerance: float = 2e-12) -> float:
+    """Return the argument between `low` and `high` at which `function` is zero, to within `tolerance`, by Brent's
+    method. The function must have different signs at both ends."""
+    # Takes 0.3 s to import, and most commands compute no limits.
+    from scipy.optimize import brentq  # noqa: PLC0415
+
+    return float(brentq(function, low, high, xtol=tolerance))
 
 
 def covariance_factor(covariance: ArrayLike) -> Array:

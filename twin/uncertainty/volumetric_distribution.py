@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq
 from scipy.special import ndtri
 
 from twin.arrays import Array, as_points, as_vector
@@ -22,7 +21,7 @@ from twin.errors import DataError
 from twin.identification.estimate import Estimate
 from twin.identification.predicted import field_forms
 from twin.machine.volumetric import VolumetricRms
-from twin.uncertainty.quadratic_distribution import QuadraticDistribution
+from twin.uncertainty.quadratic_distribution import QuadraticDistribution, root_between
 from twin.uncertainty.scale_mixture import MixtureComponent, mixture_components
 
 Limits = tuple[float, float]
@@ -70,8 +69,7 @@ class QuadraticMixture:
             lower, widening = lower / widening, widening**1.5
         while self.at_most(upper) <= probability:
             upper, widening = upper * widening, widening**1.5
-        root: float = brentq(lambda value: self.at_most(value) - probability, lower, upper, xtol=1e-12 * upper)
-        return root
+        return root_between(lambda value: self.at_most(value) - probability, lower, upper, 1e-12 * upper)
 
 
 @dataclass(frozen=True, eq=False)
