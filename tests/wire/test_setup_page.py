@@ -11,7 +11,6 @@ import pytest
 from httpx import Client
 
 from agent.errors import Aborted
-from agent.planning.new_machine import controller_setup
 from agent.planning.new_machine.fields import FIELDS, option_texts
 from agent.runs import new_machine_files
 from agent.service.daemon.serve_setup import serve_setup
@@ -19,6 +18,7 @@ from agent.service.http.endpoint import HttpServer
 from agent.service.page.setup_app import create_setup_app
 from agent.service.setup.session import SetupSession
 from agent.settings.service import ServiceSettings
+from drivers import registry
 from drivers.errors import LinkLost
 from drivers.roles import AxisLimits, ProbeStatus, Vector
 
@@ -276,7 +276,7 @@ class Panel:
 @pytest.fixture
 def panel(client: Client, session: SetupSession, monkeypatch: pytest.MonkeyPatch) -> Iterator[Panel]:
     made = Panel()
-    monkeypatch.setattr(controller_setup, "create_device", lambda *_: made)
+    monkeypatch.setattr(registry, "create_device", lambda *_: made)
     stated(client, **MILL, controller="modbus-cnc", address="127.0.0.1:1")
     assert client.post("/api/setup/connect").json()["connected"]
     yield made
