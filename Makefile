@@ -35,7 +35,6 @@ lint: setup
 
 types: setup
 	$(BIN)/mypy
-	$(BIN)/mypy --config-file tests/mypy.ini --cache-dir .mypy_cache/tests
 
 contracts: setup
 	$(BIN)/lint-imports

@@ -10,9 +10,9 @@ import numpy as np
 from click.testing import CliRunner, Result
 
 from agent.cli.offline_commands.identify import identify
+from benchmarks.family import AMPLITUDES
 from campaigns.foreign.artefact import CERTIFICATE_MM, CTE_PER_K, CTE_UNCERTAINTY_PER_K, ForeignBar
 from campaigns.foreign.machine import CHAIN, RANGES, TOOL
-from campaigns.foreign.score import AMPLITUDES
 from twin.artefact.observations import Observations
 
 COLUMNS = (

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.family import AMPLITUDES
 from campaigns.foreign.artefact import S3, ForeignBar, measure, straight_bar, tilted_bar
 from campaigns.foreign.machine import CHAIN, GRID, RANGES, TOOL, foreign_machine
-from campaigns.foreign.score import AMPLITUDES, turned_about_the_bar
+from campaigns.foreign.score import turned_about_the_bar
 from twin.artefact.observations import Observations
 from twin.identification import Estimate, identify
 from twin.machine.error_model import ErrorModel

@@ -20,8 +20,9 @@ from drivers.clock import VirtualClock
 from drivers.errors import ConfigurationError, LinkLost, LinkTimeout, ProtocolError
 from drivers.links.modbus import ModbusLink
 from drivers.links.modbus_tcp import TcpEndpoint, TcpTransport
+from drivers.modbus_cnc.codec import NumberFormat
 from drivers.modbus_cnc.codes import CommandCode
-from drivers.modbus_cnc.registers import BlockLayouts, CommandBlock, NumberFormat
+from drivers.modbus_cnc.registers import BlockLayouts, CommandBlock
 from drivers.modbus_cnc.session import ModbusSession
 from drivers.modbus_cnc.settings import BlockAddresses, ModbusCncSettings
 from drivers.modbus_cnc.store import crc32, table_bytes, table_descriptor

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import ConvexHull, QhullError
 
 from twin.arrays import Array, as_points, as_vector
 from twin.errors import DataError, ModelError
@@ -128,6 +127,9 @@ class MeasuredRegion:
         The region is the convex hull of the axis positions or, if they are coplanar, their bounding box. Axis positions
         up to `margin_mm` beyond the walls of the hull or box also count as inside.
         """
+        # Takes 0.04 s to import, and most commands make no table.
+        from scipy.spatial import ConvexHull, QhullError  # noqa: PLC0415
+
         points = as_points(axis_positions, "measured axis positions")
         try:
             # Qhull refuses points in one plane, as one station with level bars gives them.

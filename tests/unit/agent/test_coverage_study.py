@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from study_case import study_case
 
-from agent.studies.coverage import AS_MODELLED, COLUMNS, ORDER_BY_EVIDENCE, ORDER_OF_FILE, REGIONS, run
+from agent.studies.coverage import COLUMNS, ORDER_BY_EVIDENCE, ORDER_OF_FILE, REGIONS, run
 from agent.studies.study import StudyResult
 from agent.studies.study_files import write_result
 from agent.studies.workers import LocalWorkers
 from twin.identification import Options
-from twin.uncertainty.random_machines import DEFLECTION_FORMS
+from twin.uncertainty.random_machines import AS_MODELLED, DEFLECTION_FORMS
 
 MACHINES = 30
 case = partial(study_case, None, seed=11)
