@@ -11,13 +11,12 @@ pattern, and the estimate is repeated (Gauss-Newton iteration for the product of
 The errors of the machine are estimated in the same equations. This separates a pattern of the artefact, which is the
 same in all positions, from the straightness errors of the machine, which are as large.
 
-If the ball centres are known only roughly, the pattern of the artefact file is not that of the artefact, and the
-rolls cannot be found with it. The start then comes from the measured patterns alone. The same pattern u, in complex
-numbers (two directions across the line), is measured in all positions, each time turned by the roll φ:
-p = u exp(iφ) + trend. The trend is the effect of a shift and a tilt of the position, and the
-errors of the machine are far smaller than u. Alternating least squares gives u and the rolls. Only a common turn of all
-rolls stays free. It is chosen so that u resembles the pattern known beforehand or, if that is zero, so that the rolls
-of the mount are right on average.
+If the ball centres are known only roughly, the pattern of the artefact file is not that of the artefact, and the rolls
+cannot be found with it. The start then comes from the measured patterns alone. The same pattern u, in complex numbers
+(two directions across the line), is measured in all positions, each time turned by the roll φ: p = u exp(iφ) + trend.
+The trend is the effect of a shift and a tilt of the position, and the errors of the machine are far smaller than u.
+Alternating least squares gives u and the rolls. Only a common turn of all rolls stays free. It is chosen so that u
+resembles the pattern known beforehand or, if that is zero, so that the rolls of the mount are right on average.
 """
 
 from __future__ import annotations
