@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Generic, TypeVar
 
@@ -11,7 +12,7 @@ from drivers.roles import CompensationStore, StoreLimits, TableImage
 Parts = TypeVar("Parts")
 
 
-class ControllerDevice(Generic[Parts]):
+class ControllerDevice(ABC, Generic[Parts]):
     """Device with the role `CompensationStore`, which its part `_tables` carries out.
 
     `_parts` are the parts that can be created only after the controller has answered. `where` names the device in error
@@ -30,8 +31,9 @@ class ControllerDevice(Generic[Parts]):
         return self._parts
 
     @property
+    @abstractmethod
     def _tables(self) -> CompensationStore:
-        raise NotImplementedError
+        """Part that reads, stages and activates the tables."""
 
     def store_limits(self) -> StoreLimits:
         return self._tables.store_limits()

@@ -6,7 +6,6 @@ on the same tree; at a desk they are drawn anew each time, to find what is left.
 
 from __future__ import annotations
 
-import gc
 import os
 import signal
 import tempfile
@@ -59,14 +58,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker(pytest.mark.slow)
     first = {path: place for place, path in enumerate(_entries(LONG))}
     items.sort(key=lambda item: first.get(item.path.relative_to(config.rootpath).as_posix(), len(first)))
-
-
-def pytest_collection_finish() -> None:
-    """Keep the modules and the tests themselves out of all searches for cycles: a tenth of the CPU time of the tests
-    (measured) went into searching some million objects that live to the end."""
-    gc.collect()
-    gc.freeze()
-    gc.set_threshold(50_000, 20, 50)
 
 
 def _entries(listing: Path) -> list[str]:

@@ -6,7 +6,6 @@ without the plotting and protocol libraries.
 
 from __future__ import annotations
 
-import gc
 import logging
 import os
 import sys
@@ -24,10 +23,6 @@ if TYPE_CHECKING:
 # Matrices here have a hundred rows: more BLAS threads only wait for each other (measured: identification 30 ms with
 # one, 59 ms with two). It must be set before numpy is first imported, which the commands below do.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-# Commands make many small objects that live to their end and hardly any cycles: a search for cycles after each 700 of
-# them, the default, takes 4 % of the CPU time of `volcal plan`.
-gc.set_threshold(50_000, 20, 50)
 
 COMMAND_GROUP = "volcal.commands"
 HELP_GROUP = "volcal.command_help"

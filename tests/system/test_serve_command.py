@@ -16,14 +16,8 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 from cryptography.x509.oid import NameOID
-from service_process import (
-    PATIENCE_S,
-    Service,
-    service,
-    short_settings,
-    simulator,
-    systemd_socket,
-)
+from service_process import Service, service, short_settings, simulator, systemd_socket
+from simulated import PATIENCE_S
 from stored_run import stored_run
 
 from agent.execution.states import FINAL
