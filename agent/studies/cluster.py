@@ -6,20 +6,22 @@ the wait for a response of the scheduler. The computing time of a chunk is not l
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import pickle
 import platform
 import socket
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import CancelledError
+from concurrent.futures import CancelledError, Executor
+from concurrent.futures import Future as LocalFuture
 from contextlib import contextmanager
 from functools import partial
 from importlib.metadata import version
 from typing import Any, Self, TypeVar
 from urllib.parse import urlsplit
 
-from distributed import Client, KilledWorker
+from distributed import Client, Future, KilledWorker
 
 from agent.errors import RunError
 from agent.studies.workers import OnItemsDone, in_chunks, run_chunk
@@ -76,13 +78,12 @@ class DaskWorkers:
         self._await_worker(client, "the Dask scheduler has no worker", hint)
         threads = max(1, sum(self._workers(client).values()))
         run = partial(run_chunk_on_cluster, pickle.dumps(task), local_software())
-        executor = client.get_executor(pure=False)  # type: ignore[no-untyped-call]
+        executor = _ClusterExecutor(client)
         try:
             with self._failures_translated():
                 return in_chunks(executor, threads, run, items, done, lambda: self._check(client), POLL_S)
         except BaseException:
-            if client.status == "running":
-                executor.shutdown(wait=False)
+            executor.shutdown(wait=False, cancel_futures=True)
             raise
 
     def _check(self, client: Client) -> None:
@@ -127,6 +128,34 @@ class DaskWorkers:
     def _connection_lost(self) -> LinkLost:
         hint = "start the study again; the same seed gives the same numbers"
         return LinkLost("the connection to the Dask scheduler was lost during the work", hint=hint, link=self._address)
+
+
+class _ClusterExecutor(Executor):
+    """Executor whose results, once fetched, no longer depend on the workers that computed them.
+
+    The executor of distributed looks at the state of a task again after it has fetched the result. If the worker that
+    holds the result dies between the two, the work ends with a ValueError, although the result is here.
+    """
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+        self._loop: asyncio.AbstractEventLoop = client.loop.asyncio_loop  # type: ignore[union-attr]  # connected
+        self._submitted: list[Future[Any]] = []
+
+    def submit(self, function: Callable[..., Result], /, *arguments: Any, **named: Any) -> LocalFuture[Result]:
+        remote = self._client.submit(function, *arguments, **named, pure=False)
+        self._submitted.append(remote)
+        return asyncio.run_coroutine_threadsafe(_fetched(remote), self._loop)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Cancel what is not finished, if `cancel_futures` is true and the scheduler is still connected."""
+        if cancel_futures and self._client.status == "running":
+            self._client.cancel(self._submitted)  # type: ignore[no-untyped-call]
+
+
+async def _fetched(remote: Future[Any]) -> Any:
+    """Return the result of a task, which is computed again if it was lost. Raises what the task raised."""
+    return await remote
 
 
 def local_software() -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import signal
 import socket
@@ -140,6 +141,27 @@ class TestBadEnds:
         with DaskWorkers(address) as workers:
             assert workers.map(study_tasks.SlowAgain(str(tmp_path)), range(1), ignore) == [0]
         assert (tmp_path / "again").exists()
+
+    def test_a_result_that_is_here_stays_when_its_worker_dies(
+        self, address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        killed: list[int] = []
+        gather = Client._gather
+
+        async def gathered_before_the_death(self: Client, futures: list[Any], *arguments: Any, **options: Any) -> Any:
+            """After the result is fetched, kill the worker that holds it and wait until the client knows."""
+            result = await gather(self, futures, *arguments, **options)
+            if not killed:
+                killed.append(int((tmp_path / "first").read_text()))
+                os.kill(killed[0], signal.SIGKILL)
+                while futures[0].status == "finished":
+                    await asyncio.sleep(0.01)
+            return result
+
+        monkeypatch.setattr(Client, "_gather", gathered_before_the_death)
+        with DaskWorkers(address) as workers:
+            assert workers.map(study_tasks.SlowAgain(str(tmp_path)), range(1), ignore) == [0]
+        assert killed
 
     def test_a_scheduler_that_is_killed_in_the_middle_is_noticed(self) -> None:
         scheduler = dask_process("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-show")
