@@ -20,6 +20,7 @@ from functools import partial
 from importlib.metadata import version
 from typing import Any, Self, TypeVar
 from urllib.parse import urlsplit
+from weakref import WeakSet
 
 from distributed import Client, Future, KilledWorker
 
@@ -140,17 +141,19 @@ class _ClusterExecutor(Executor):
     def __init__(self, client: Client) -> None:
         self._client = client
         self._loop: asyncio.AbstractEventLoop = client.loop.asyncio_loop  # type: ignore[union-attr]  # connected
-        self._submitted: list[Future[Any]] = []
+        # A task that nothing here refers to any more is let go of on the cluster: its result, once fetched, takes no
+        # memory there and is not computed again when its worker dies.
+        self._submitted: WeakSet[Future[Any]] = WeakSet()
 
     def submit(self, function: Callable[..., Result], /, *arguments: Any, **named: Any) -> LocalFuture[Result]:
         remote = self._client.submit(function, *arguments, **named, pure=False)
-        self._submitted.append(remote)
+        self._submitted.add(remote)
         return asyncio.run_coroutine_threadsafe(_fetched(remote), self._loop)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Cancel what is not finished, if `cancel_futures` is true and the scheduler is still connected."""
         if cancel_futures and self._client.status == "running":
-            self._client.cancel(self._submitted)  # type: ignore[no-untyped-call]
+            self._client.cancel(list(self._submitted))  # type: ignore[no-untyped-call]
 
 
 async def _fetched(remote: Future[Any]) -> Any:

@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import dask
@@ -73,6 +74,17 @@ class TestNumbers:
         assert fewer.tobytes() == here[:5].tobytes()
         assert told == sorted(told)
         assert told[-1] == 37
+
+    def test_results_that_are_here_are_let_go_of_on_the_cluster(self, address: str) -> None:
+        held = Event()
+
+        def wait_until_released(finished: int) -> None:
+            """Wait, with all results here, until the client wants none of the cluster any more."""
+            while finished == 37 and Client.current().futures:
+                held.wait(0.01)
+
+        with DaskWorkers(address) as workers:
+            assert workers.map(study_tasks.squared, range(37), wait_until_released) == [n * n for n in range(37)]
 
 
 class TestBadEnds:
