@@ -17,7 +17,7 @@ from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
 from agent.results.artefact_calibration import calibration_record
 from agent.results.facts import Quantity, VolumetricSummary
-from agent.results.observations import Correction, ReferenceArtefact, observations_of, positions_named
+from agent.results.observations import Correction, ReferenceArtefact, observations_of, position_numbers, positions_named
 from agent.results.travel_parts import Limits, TravelPart, TravelParts
 from agent.settings.schema import IdentificationSettings, Order, TableSettings
 from agent.settings.temperature import TemperatureSettings
@@ -28,7 +28,7 @@ from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.compensation.table import Anchor, CompensationTable, MeasuredRegion, Nodes, build_table, regular_nodes
-from twin.formats.estimate_file import VolumetricSection, format_estimate
+from twin.formats.estimate_file import VolumetricSection, format_estimate, step_document
 from twin.identification import Estimate, Options, expected_rms, identify, identify_by_evidence, regional_forms
 from twin.identification.checks.measured_shape import check_shape
 from twin.identification.predicted import expected_vce, field_forms
@@ -62,6 +62,12 @@ class EstimationResult:
         estimate = self.estimate
         return ReferenceArtefact.of(artefact, estimate.unknowns, estimate.z, estimate.z_covariance)
 
+    def with_numbers(self, numbers: Sequence[int]) -> EstimationResult:
+        """Return the same result, in which a change of the machine in the run names each position by its number in
+        `numbers`, not by its index."""
+        step = self.estimate.step
+        return self if step is None else replace(self, estimate=replace(self.estimate, step=step.numbered(numbers)))
+
     def as_json(self) -> dict[str, object]:
         """Return the JSON object of the estimation, which is part of those of a run and of an identification from
         files (docs/reference/json.md)."""
@@ -77,6 +83,7 @@ class EstimationResult:
             "travel": self.travel.as_record(),
             "artefact_calibration": calibration_record(estimate.artefact_calibration),
             "chi2_normalised": estimate.chi2_normalised,
+            "step_in_run": step_document(estimate.step),
             "rejected": [list(row) for row in estimate.rejected],
         }
 
@@ -84,7 +91,7 @@ class EstimationResult:
 NO_ESTIMATION: dict[str, object] = {
     **dict.fromkeys(("rank", "parameters", "estimated_ve_um", "estimated_ve_limits_um")),
     **dict.fromkeys(("predicted_vce_um", "predicted_vce_limits_um", "thermometer", "travel")),
-    **dict.fromkeys(("artefact_calibration", "chi2_normalised")),
+    **dict.fromkeys(("artefact_calibration", "chi2_normalised", "step_in_run")),
     "rejected": [],
 }
 """JSON object of an estimation that was not made."""
@@ -172,8 +179,7 @@ def estimate_from_balls(job: Job, balls: Sequence[MeasuredBall], correction: Cor
     drift = run_drift(job.settings.temperature, [ball.conditions for ball in balls])
     observations = observations_of(balls, job.tool_offset_mm, correction, drift)
     options = identification_options(job.settings.identification, job.settings.temperature, drift)
-    with positions_named(balls):
-        return estimate_for_job(job, observations, options)
+    return estimate_in_run(job, balls, observations, options)
 
 
 def identification_options(
@@ -187,6 +193,15 @@ def identification_options(
         use_prior=identification.prior,
         weights=identification.weights,
     )
+
+
+def estimate_in_run(
+    job: Job, balls: Sequence[MeasuredBall], observations: Observations, options: Options
+) -> EstimationResult:
+    """Return the estimate of `estimate_for_job` from the `observations` of the `balls` of a run. Positions, also those
+    that an error names, have their numbers in the run."""
+    with positions_named(balls):
+        return estimate_for_job(job, observations, options).with_numbers(position_numbers(balls))
 
 
 def estimate_for_job(job: Job, observations: Observations, options: Options) -> EstimationResult:

@@ -29,6 +29,7 @@ from agent.results.gates import (
     PROBE,
     PROOF,
     PROOF_FIT,
+    STEP,
     Gate,
     change_gate,
     correction_gate,
@@ -151,6 +152,7 @@ class _Design:
             fit_gate(1.0, limits),
             redundancy_gate(self.estimate.degrees_of_freedom, limits),
             self._certificate(limits.max_certificate_sigma),
+            Gate(STEP, True, 1.0, limits.step_false_alarm, "probability bound of a machine that does not change"),
             self._change(),
             Gate(NIGHT, limits.night_false_alarm <= 0.5, 0.5, limits.night_false_alarm, "probability of a night"),
         )

@@ -18,7 +18,7 @@ from agent.settings.schema import GateSettings
 from drivers.errors import InputError
 from drivers.roles import StoreLimits
 from twin.compensation.table import CompensationTable
-from twin.identification import BallCheck, Estimate
+from twin.identification import BallCheck, Estimate, StepInRun
 from twin.units import UM_PER_MM
 
 CHANGE = "change"
@@ -30,6 +30,9 @@ CERTIFICATE = "certificate"
 
 NIGHT = "night"
 """Name of the gate for a night that is combined with earlier nights."""
+
+STEP = "step in run"
+"""Name of the gate for a sudden change of the machine during the measurement."""
 
 PROBE, PROOF, PROOF_FIT = "probe", "proof", "proof fit"
 """Names of limits that a run meets elsewhere: the check of the probe, and the proof of the new table."""
@@ -57,6 +60,7 @@ GATE_RULES: Mapping[str, GateRule] = {
     CERTIFICATE: GateRule(
         "gates.max_certificate_sigma", "raise the limit; the largest of several right balls reaches this value"
     ),
+    STEP: GateRule("gates.step_false_alarm", "lower the limit, which is a probability"),
     CHANGE: GateRule("gates.max_change", "raise the limit; an unchanged machine reaches this value"),
     NIGHT: GateRule("gates.night_false_alarm", "lower the limit; a night that fits reaches this probability"),
     "correction": GateRule("gates.max_correction_um", _FAMILY),
@@ -83,7 +87,10 @@ MORE_POSITIONS = "more positions or another position set lower the predicted VCE
 BETTER_CERTIFICATE = (
     "clean the named balls and have them calibrated, or list them as uncertified_balls in the artefact file"
 )
-"""Remedies for gates that a run did not pass: for the gate `CERTIFICATE`, and for all others."""
+MACHINE_CHANGED = (
+    "look for the cause (a collision, a clamp, a carried artefact, a machine that warms up), and measure again"
+)
+"""Remedies for gates that a run did not pass: for the gate `CERTIFICATE`, for the gate `STEP`, and for all others."""
 
 
 @dataclass(frozen=True)
@@ -101,12 +108,13 @@ class Gate:
 
 
 def estimate_gates(estimate: Estimate, limits: GateSettings) -> tuple[Gate, ...]:
-    """Return the three gates (limits) for the estimate: the fit of the residuals, the number of redundant measurements,
-    and the agreement of the balls with their certificate."""
+    """Return the four gates (limits) for the estimate: the fit of the residuals, the number of redundant measurements,
+    the agreement of the balls with their certificate, and a machine that did not change in the run."""
     return (
         fit_gate(estimate.chi2_normalised, limits),
         redundancy_gate(estimate.degrees_of_freedom, limits),
         certificate_gate(estimate.certificate_check, limits),
+        step_gate(estimate.step, limits),
     )
 
 
@@ -162,6 +170,22 @@ def certificate_gate(checks: Sequence[BallCheck], limits: GateSettings) -> Gate:
         )
     value = certified[0].contradiction if certified else 0.0
     return Gate(CERTIFICATE, not wrong, value, limit, text)
+
+
+def step_gate(step: StepInRun | None, limits: GateSettings) -> Gate:
+    """Return the gate (limit) for a sudden change of the machine during the measurement: the probability of such
+    measurements, at most, if the machine did not change. The text names the likeliest changes.
+
+    `step` is None if the measurements were not tested for a change.
+    """
+    limit = limits.step_false_alarm
+    if step is None:
+        return Gate(STEP, True, 1.0, limit, "the measurements were not tested for a change of the machine")
+    if step.false_alarm >= limit:
+        text = "probability of such measurements, at most, on a machine that did not change while it was measured"
+        return Gate(STEP, True, step.false_alarm, limit, text if step.hidden is None else f"{text}; {step.hidden.note}")
+    suspects = "; or ".join(f"{one.text} ({100.0 * one.probability:.0f} %)" for one in step.suspects)
+    return Gate(STEP, False, step.false_alarm, limit, f"the machine changed while it was measured: {suspects}")
 
 
 def _contradiction(check: BallCheck) -> str:
@@ -278,7 +302,9 @@ def require_passed(gates: Sequence[Gate], consent: str = "") -> None:
     """Raise GateRefused if one of `gates` was not passed. The message names every such gate and ends with a remedy and
     `consent`, a sentence on what to do otherwise."""
     if names_of_failed(gates):
-        remedy = BETTER_CERTIFICATE if CERTIFICATE in names_of_failed(gates) else MORE_POSITIONS
+        failed = names_of_failed(gates)
+        remedies = {CERTIFICATE: BETTER_CERTIFICATE, STEP: MACHINE_CHANGED}
+        remedy = next((text for name, text in remedies.items() if name in failed), MORE_POSITIONS)
         raise GateRefused(f"no table was written: {reasons(gates)}", hint=f"{remedy}{consent}")
 
 

@@ -121,8 +121,12 @@ def positions_named(balls: Sequence[MeasuredBall]) -> Iterator[None]:
         yield
     except PositionError as error:
         error.where.pop("row", None)
-        numbers = list(dict.fromkeys(ball.position for ball in balls))
-        raise error.renumbered(numbers[error.position]) from None
+        raise error.renumbered(position_numbers(balls)[error.position]) from None
+
+
+def position_numbers(balls: Iterable[MeasuredBall]) -> list[int]:
+    """Return the number in the run of each position of the observations of `balls`."""
+    return list(dict.fromkeys(ball.position for ball in balls))
 
 
 def _renumbered(numbers: Iterable[int]) -> list[int]:

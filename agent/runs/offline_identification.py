@@ -280,6 +280,8 @@ def _gated(material: IdentificationInput, request: IdentificationRequest) -> tup
             request.table,
             request.order,
         )
+    if material.balls.numbers:
+        estimation = estimation.with_numbers(material.balls.numbers)
     _check_stated_noise(estimation, material)
     left_um = estimation.volumetric.after_aligned.value_um
     gain = ExpectedGain(math.hypot(estimation.volumetric.table_ve_um, left_um), left_um)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -21,7 +21,7 @@ from twin.errors import FormatError, TwinError
 from twin.formats.json_reading import read_json
 from twin.formats.prior_section import CarriedOverSection, carried_over_document, read_moments, read_unknowns
 from twin.formats.toml_reading import StrictModel
-from twin.identification import BallCheck, CarriedOverPrior, DriftFactor, Estimate, Scales
+from twin.identification import BallCheck, CarriedOverPrior, DriftFactor, Estimate, Scales, StepInRun
 from twin.identification.unknowns import Unknowns
 from twin.machine.error_model import ErrorModel
 from twin.machine.kinematic_chain import parse_chain
@@ -108,6 +108,41 @@ class CertificateSection(StrictModel):
     apparent_error_um: Triple
 
 
+class SuspectedStepSection(StrictModel):
+    """Error that may have changed suddenly during the measurement, in an estimate file.
+
+    `probability` is that of this error if one error has changed. The change lies between the balls `last_before` and
+    `first_after`, each given by the number of its position and its ball number. `change` is its size in `unit`.
+    """
+
+    error: str
+    change: float
+    unit: Literal["µm", "µrad"]
+    probability: float = Field(ge=0.0, le=1.0)
+    last_before: tuple[int, int]
+    first_after: tuple[int, int]
+
+
+class HiddenStepSection(StrictModel):
+    """Largest sudden change between the two positions `between` that could have stayed unnoticed. It leaves the
+    volumetric error `vce_um`."""
+
+    error: str
+    change: float
+    unit: Literal["µm", "µrad"]
+    vce_um: float = Field(ge=0.0)
+    between: tuple[int, int] | None
+
+
+class StepSection(StrictModel):
+    """Result of the test for a sudden change of the machine during the measurement, in an estimate file. `false_alarm`
+    is the largest probability of such measurements on a machine that did not change."""
+
+    false_alarm: float = Field(ge=0.0, le=1.0)
+    suspects: tuple[SuspectedStepSection, ...]
+    hidden: HiddenStepSection | None
+
+
 class VolumetricSection(StrictModel):
     """Volumetric errors over the workspace in µm for the tool of the table, after removal of the best-fitting rigid
     motion.
@@ -144,6 +179,7 @@ class EstimateFile(StrictModel):
     order_evidence: tuple[OrderSection, ...]
     rejected: tuple[RejectedBallSection, ...]
     certificate: tuple[CertificateSection, ...]
+    step_in_run: StepSection | None = None
     artefact_calibration: dict[str, Any] | None
     volumetric: VolumetricSection | None
     carried_over: CarriedOverSection
@@ -225,6 +261,7 @@ def format_estimate(
         ],
         "rejected": [{"position": k, "ball": ball, "tool": tool} for k, ball, tool in estimate.rejected],
         "certificate": certificate_document(estimate.certificate_check),
+        "step_in_run": step_document(estimate.step),
         "artefact_calibration": calibration_document(estimate.artefact_calibration),
         "volumetric": None if volumetric is None else volumetric.model_dump(),
         "carried_over": carried_over_document(
@@ -246,6 +283,28 @@ def certificate_document(checks: Sequence[BallCheck]) -> list[dict[str, Any]]:
         }
         for check in checks
     ]
+
+
+def step_document(step: StepInRun | None) -> dict[str, Any] | None:
+    """Return the result of the test for a sudden change of the machine as a JSON object, or None if the measurements
+    were not tested."""
+    if step is None:
+        return None
+    return {
+        "false_alarm": step.false_alarm,
+        "suspects": [
+            {
+                "error": one.jump.error,
+                "change": one.jump.change,
+                "unit": one.jump.unit,
+                "probability": one.probability,
+                "last_before": list(one.last_before),
+                "first_after": list(one.first_after),
+            }
+            for one in step.suspects
+        ],
+        "hidden": None if step.hidden is None else asdict(step.hidden),
+    }
 
 
 def calibration_document(calibration: ArtefactCalibration | None) -> dict[str, Any] | None:

@@ -1,6 +1,7 @@
 """Identification of the error model that is used for compensation, from measured ball centres."""
 
 from twin.identification.checks.certificate_check import BallCheck
+from twin.identification.checks.step_in_run import StepInRun
 from twin.identification.estimate import Estimate, Misfit
 from twin.identification.evidence import OrderEvidence
 from twin.identification.identify import identify
@@ -30,6 +31,7 @@ __all__ = [
     "Options",
     "OrderEvidence",
     "Scales",
+    "StepInRun",
     "expected_rms",
     "field_uncertainty",
     "identify",

@@ -12,6 +12,7 @@ from twin.arrays import Array
 from twin.artefact.artefact_calibration import ArtefactCalibration
 from twin.identification.alternatives import Alternative
 from twin.identification.checks.certificate_check import BallCheck, check_certificate
+from twin.identification.checks.step_in_run import StepInRun
 from twin.identification.evidence import OrderEvidence, scales_at_bounds
 from twin.identification.misfit import MisfitModes
 from twin.identification.normal import Scales
@@ -63,7 +64,8 @@ class Estimate:
     if the order was given. `drift` is the drift of the machine during the measurement, or None if drift was not
     estimated. `drift_factor` is the factor on the process noise between nights that was learned until this estimate.
     `free_balls` contains the balls whose certified centres contradict the measurements; the estimate does not use these
-    centres.
+    centres. `step` is the result of the test for a sudden change of the machine during the measurement; it is None if
+    the measurements were used unchecked.
     """
 
     model: ErrorModel
@@ -86,6 +88,7 @@ class Estimate:
     drift: DriftEstimate | None = field(default=None, repr=False)
     drift_factor: DriftFactor = field(default_factory=DriftFactor)
     free_balls: tuple[int, ...] = ()
+    step: StepInRun | None = None
 
     def carried_over(self, process_noise: ArrayLike | None = None, nights: float = 1.0) -> CarriedOverPrior:
         """Return this estimate as the prior of an estimate made `nights` nights later.

@@ -13,8 +13,9 @@ from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.errors import DataError, PositionError, SingularSet
 from twin.identification.alternatives import Alternative
-from twin.identification.checks.outliers import contradicting_rows, studentised_residuals
+from twin.identification.checks.outliers import Rows, WhitenedResiduals, contradicting_rows, studentised_residuals
 from twin.identification.checks.slipped_position import Slip, slip_in
+from twin.identification.checks.step_in_run import StepInRun, evidence_of_step, step_in_run
 from twin.identification.checks.wrong_balls import WrongBallSearch, is_isolated, with_free_balls
 from twin.identification.distances import DistanceEquations
 from twin.identification.estimate import Estimate, Misfit
@@ -138,8 +139,10 @@ def _without_outliers(whole: IdentificationProblem, options: Options) -> _RowSel
 
     Balls that are wrong in several positions are first tested against their certificate: if it is wrong, their centres
     are left free and their rows stay. In the end, a ball that was freed because of an outlier is bound again.
+
+    If a sudden change of the machine explains more than wrong balls or a slip, nothing more is rejected.
     """
-    screening = replace(options, formulation="centres", weights="full", use_prior=True)
+    screening = _screening(options)
     accepted = np.ones(whole.observations.size, dtype=bool)
     problem, search = whole, WrongBallSearch(screening)
     while True:
@@ -148,22 +151,39 @@ def _without_outliers(whole: IdentificationProblem, options: Options) -> _RowSel
         worst = contradicting_rows(residuals, options.false_alarm)
         if not is_isolated(problem.observations.ball[worst]) and search.found_in(problem, solution):
             continue
-        if worst.size == 0:
+        slip = slip_in(worst, residuals, options.false_alarm) if worst.size and _is_plausible(solution) else None
+        if worst.size == 0 or _step_explains_more(whole, accepted, solution, residuals, worst, slip):
             _check_plausible(solution)
             if search.bind_again(problem, solution):
                 continue
             free = search.free
             same = options.formulation == "centres" and options.weights == "full" and options.use_prior
             return _RowSelection(solution.equations.problem, accepted, solution if same else None, free)
-        if _is_plausible(solution):
-            slip = slip_in(worst, residuals, options.false_alarm)
-            if slip is not None and slip.size_mm > _SLIP_ABOVE_MISFIT * _unresolved_rms_mm(whole, solution):
-                _report_slip(whole, accepted, slip)
+        if slip is not None and slip.size_mm > _SLIP_ABOVE_MISFIT * _unresolved_rms_mm(whole, solution):
+            _report_slip(whole, accepted, slip)
         accepted = accepted.copy()
         accepted[np.flatnonzero(accepted)[worst]] = False
         _check_rejected_share(accepted)
         problem = restrict_measured_problem(whole, accepted, options)
         _check_set(problem.observations)
+
+
+def _step_explains_more(
+    whole: IdentificationProblem,
+    accepted: Mask,
+    solution: Solution,
+    residuals: WhitenedResiduals,
+    worst: Rows,
+    slip: Slip | None,
+) -> bool:
+    """Return True if a step of the machine in the run explains more than the rejection of the rows `worst` and more
+    than the slip of a position."""
+    if not _is_plausible(solution):
+        return False
+    # half a decrease of χ² is a logarithm of a likelihood ratio
+    rejected = float(residuals.square[worst].sum()) / residuals.scale
+    explained = 0.5 * max(rejected, 0.0 if slip is None else slip.gain)
+    return evidence_of_step(solution, residuals, whole.layout.order[accepted]) > explained
 
 
 def _unresolved_rms_mm(whole: IdentificationProblem, solution: Solution) -> float:
@@ -216,7 +236,9 @@ def _check_rejected_share(accepted: Mask) -> None:
 
 
 def _estimate(whole: IdentificationProblem, selection: _RowSelection, options: Options) -> Estimate:
-    solution = average_over_scales(selection.solution or solve(selection.problem, options, options.formulation))
+    likeliest = selection.solution or solve(selection.problem, options, options.formulation)
+    step = _step_in_run(whole, selection, likeliest, options)
+    solution = average_over_scales(likeliest)
     block, unknowns = whole.blocks.parameters, whole.unknowns
     state = _state(whole, options)
     z, covariance = _in_state(state, solution.z, solution.covariance)
@@ -245,7 +267,27 @@ def _estimate(whole: IdentificationProblem, selection: _RowSelection, options: O
         drift=_drift(whole, solution),
         drift_factor=DriftFactor() if options.carried_over is None else options.carried_over.drift_factor,
         free_balls=() if options.weights == "unit" else selection.free,
+        step=step,
     )
+
+
+def _screening(options: Options) -> Options:
+    """Return the options with which the measurements are checked, in whatever formulation they are evaluated."""
+    return replace(options, formulation="centres", weights="full", use_prior=True, cut_off=None)
+
+
+def _step_in_run(
+    whole: IdentificationProblem, selection: _RowSelection, solution: Solution, options: Options
+) -> StepInRun | None:
+    """Return the result of the test for a sudden change of the machine; None if the rows are used unchecked."""
+    if options.outliers == "none":
+        return None
+    screening = _screening(options)
+    if screening != options:
+        solution = solve(selection.problem, screening, screening.formulation)
+    seen = whole.observations
+    tool_offset = seen.tool_offsets[np.bincount(seen.tool).argmax()]
+    return step_in_run(solution, whole.layout.order[selection.accepted], tool_offset)
 
 
 def _state(whole: IdentificationProblem, options: Options) -> Array | None:

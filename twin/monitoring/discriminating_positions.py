@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from twin.arrays import Array
 from twin.design.candidates import CandidatePositions
+from twin.identification.jump import ERRORS
 from twin.identification.unknowns import Unknowns
-from twin.monitoring.step_detection import ERRORS
 
 
 @dataclass(frozen=True, eq=False)

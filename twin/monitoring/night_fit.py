@@ -33,10 +33,11 @@ from scipy.special import chdtrc, fdtrc
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
+from twin.identification.jump import ERRORS, SuspectedJump
 from twin.identification.options import Options
 from twin.identification.prior_from_estimate import UNKNOWN_LOG_DEVIATION, CarriedOverPrior, DriftFactor
 from twin.machine.machine_population import Family
-from twin.monitoring.step_detection import ERRORS, Innovation, SuspectedJump, innovation
+from twin.monitoring.step_detection import Innovation, innovation
 
 FALSE_ALARM = 1e-3
 """Probability that a night is said not to fit although the machine drifts as before."""

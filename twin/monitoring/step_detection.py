@@ -6,26 +6,20 @@ equations are whitened, which means that their noise is uncorrelated and has the
 The unknown poses of the artefact have been eliminated. The innovation y - A m, the difference between measurement and
 expectation, then has the covariance S = σ² I + A C Aᵀ, where I is the identity matrix.
 
-A score test examines the hypothesis that the coefficients of one error have also changed by the vector a. The matrix J
-selects these coefficients in z. The change a has mean zero and the covariance Λ that the coefficients have in the
-family of machines. The logarithm of the likelihood ratio of this hypothesis against no change is then
+A score test examines the hypothesis that the coefficients of one error have also changed (module
+`twin.identification.jump`). It needs the score and the information
 
-    ½ sᵀJ (Λ⁻¹ + JᵀF J)⁻¹ Jᵀs - ½ ln det(I + Λ JᵀF J),    s = AᵀS⁻¹(y - A m), F = AᵀS⁻¹A,
+    s = AᵀS⁻¹(y - A m), F = AᵀS⁻¹A,
 
-with the score s, shape (P,), and the information F, shape (P, P). The second term penalises an error with many
-coefficients for its degrees of freedom (Kass & Raftery, J. Am. Stat. Assoc. 90, 1995). F is computed from the prior and
-the design matrix as
+of shapes (P,) and (P, P). F is computed from the prior and the design matrix as
 
     F = C⁻¹ - C⁻¹(C⁻¹ + AᵀA/σ²)⁻¹C⁻¹.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -34,47 +28,15 @@ from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.identification.centres import CentreEquations
+from twin.identification.jump import ERRORS, SuspectedJump, coefficients_of, suspected_jump
 from twin.identification.normal import NormalEquations, PriorPrecision
 from twin.identification.options import Options
 from twin.identification.prior_from_estimate import CarriedOverPrior
 from twin.identification.problem import IdentificationProblem, build_problem
 from twin.identification.unknowns import Unknowns
-from twin.machine.error_model import ERROR_MOTIONS, SQUARENESS
-from twin.machine.legendre import legendre_values
 from twin.machine.machine_population import Family
 
-ERRORS = (*ERROR_MOTIONS, *SQUARENESS)
-"""The 21 geometric errors of three linear axes, ISO 230-1."""
-
 _EXACT_STEPS = 2  # as in an identification: the first step leaves second-order terms of a pose a few mm off
-# gives the peak-to-valley value of a series of order 5 to within 0.3 %, of order 10 to within 2 % (random series)
-_TRAVEL_POINTS = 101
-
-
-@dataclass(frozen=True)
-class SuspectedJump:
-    """Geometric error that may have jumped; `error` is its ISO 230-1 name.
-
-    `evidence` is the natural logarithm of the likelihood ratio of a jump against no jump. `chi2` is the test statistic
-    of the jump, with `freedom` degrees of freedom.
-
-    `change` is the size of the jump in `unit`. For a squareness it is the change of the angle. For an error motion it
-    is the peak-to-valley value of the change over the travel of the axis; it is negative if the change at the end of
-    the travel is smaller than the change at the start. `coefficients` gives the change of each coefficient, keyed by
-    its name, in mm or rad.
-    """
-
-    error: str
-    evidence: float
-    chi2: float
-    freedom: int
-    change: float
-    unit: Literal["µm", "µrad"]
-    coefficients: Mapping[str, float]
-
-    @property
-    def text(self) -> str:
-        return f"{self.error} changed by {self.change:+.1f} {self.unit}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +82,7 @@ class Innovation:
         `jump` is the standard deviation of the assumed jump of a coefficient, divided by the standard deviation of the
         coefficient in the family of machines.
         """
-        found = [self._suspect(error, jump) for error in ERRORS if self._columns(error).size]
+        found = [self._suspect(error, jump) for error in ERRORS if coefficients_of(self.unknowns, error).size]
         return tuple(sorted(found, key=lambda one: -one.evidence))
 
     def find_jumps(self, evidence: float, most: int = 3, jump: float = 1.0) -> tuple[SuspectedJump, ...]:
@@ -141,44 +103,17 @@ class Innovation:
             left = left._without(best.error, jump)
         return tuple(named)
 
-    def _columns(self, error: str) -> Array:
-        model, scale = self.unknowns.model, self.unknowns.scale
-        return np.array([i for i, one in enumerate(model.parameters) if one.error == error and scale[i] > 0.0], int)
-
     def _suspect(self, error: str, jump: float) -> SuspectedJump:
-        # a = (Λ⁻¹ + JᵀFJ)⁻¹Jᵀs, evidence = ½ sᵀJ a - ½ ln det(1 + Λ JᵀFJ); Λ = jump² in units of the family
-        columns = self._columns(error)
-        score, inner = self.score[columns], self.information[np.ix_(columns, columns)]
-        size = len(columns)
-        free = cho_factor(np.eye(size) / jump**2 + inner, lower=True)
-        step = cho_solve(free, score)
-        determinant = 2.0 * float(np.log(np.diagonal(free[0])).sum()) + 2.0 * size * math.log(jump)
-        # χ² without the prior Λ on the size of the jump: sᵀF⁻¹s; a coefficient that was not measured adds nothing
-        sharp = float(score @ np.linalg.lstsq(inner, score, rcond=1e-12)[0])
-        change, unit = self._change(error, columns, step)
-        names = [self.unknowns.model.names[i] for i in columns]
-        values = (self.unknowns.scale[columns] * step).tolist()
-        evidence = 0.5 * (float(score @ step) - determinant)
-        return SuspectedJump(error, evidence, sharp, size, change, unit, dict(zip(names, values, strict=True)))
-
-    def _change(self, error: str, columns: Array, step: Array) -> tuple[float, Literal["µm", "µrad"]]:
-        model = self.unknowns.model
-        parameters = [model.parameters[i] for i in columns]
-        values = self.unknowns.scale[columns] * step
-        factor: float = 1e3 if parameters[0].unit == "mm" else 1e6
-        unit: Literal["µm", "µrad"] = "µm" if parameters[0].unit == "mm" else "µrad"
-        if error in SQUARENESS:
-            return factor * float(values[0]), unit
-        orders = [one.order for one in parameters]
-        along = values @ legendre_values(np.linspace(-1.0, 1.0, _TRAVEL_POINTS), max(orders))[orders]
-        return factor * float(np.ptp(along)) * (1.0 if along[-1] >= along[0] else -1.0), unit
+        columns = coefficients_of(self.unknowns, error)
+        inner = self.information[np.ix_(columns, columns)]
+        return suspected_jump(self.unknowns, error, self.score[columns], inner, jump)
 
     def _without(self, error: str, jump: float) -> Innovation:
         """Return the innovation after this error has been allowed to jump: S + A J Λ JᵀAᵀ replaces S.
 
         J selects the coefficients of the error in z, and Λ is their variance for a jump of size `jump`.
         """
-        columns = self._columns(error)
+        columns = coefficients_of(self.unknowns, error)
         through = self.information[:, columns]
         free = cho_factor(np.eye(len(columns)) / jump**2 + self.information[np.ix_(columns, columns)], lower=True)
         taken = cho_solve(free, self.score[columns])

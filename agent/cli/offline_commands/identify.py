@@ -186,6 +186,8 @@ def _show(result: IdentificationResult, config: Path | None, seconds: float) -> 
     for name, text in travel_rows(estimation.travel):
         console.print(f"{name}: {text}")
     console.print(f"Legendre order {order_text(estimate)}")
+    if estimate.step is not None and estimate.step.hidden is not None:
+        console.print(f"change during the measurement: {estimate.step.hidden.note}", markup=False)
     console.print(estimation.thermometer.text, markup=False)
     if estimation.thermometer.warning is not None:
         console.print(f"note: {estimation.thermometer.warning}", style="yellow", markup=False)

@@ -20,11 +20,12 @@ from agent.runs.reference_state import ReferenceState
 from twin.arrays import Array
 from twin.artefact.held_out_check import held_out_residuals
 from twin.identification import CarriedOverPrior, Estimate
+from twin.identification.jump import SuspectedJump
 from twin.machine.machine_population import Family
 from twin.machine.volumetric import evaluation_grid
 from twin.monitoring.night_fit import NightFit
 from twin.monitoring.residual_with_active_table import ResidualWithTable, residual_covariance, uncompensated
-from twin.monitoring.step_detection import Innovation, SuspectedJump, innovation
+from twin.monitoring.step_detection import Innovation, innovation
 from twin.units import UM_PER_MM
 
 _LIKELIEST = 5

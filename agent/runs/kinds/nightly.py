@@ -21,9 +21,9 @@ from agent.planning.preflight import PreflightResult, run_preflight
 from agent.probing.publish import ActiveCompensation
 from agent.probing.repeated_positions import join_measured
 from agent.probing.run_plan import MEASURED, MeasuredPositions, measure_positions, note_measured
-from agent.results.estimation import EstimationResult, estimate_for_job
+from agent.results.estimation import EstimationResult, estimate_in_run
 from agent.results.gates import Gate, change_gate, estimate_gates, shape_gates
-from agent.results.observations import balls_for_estimate, observations_of, positions_named
+from agent.results.observations import balls_for_estimate, observations_of
 from agent.results.run_outcome import Decision, NightReport, Proof
 from agent.results.table_replacement import ExpectedGain
 from agent.runs.change_since_reference import change_since, fit_of_night
@@ -379,8 +379,7 @@ def _fuse(running: _Night, measured: MeasuredPositions) -> _Fused:
         options = replace(thermal_options(chosen.temperature, drift), carried_over=judge.prior)
         fit = fit_of_night(job, judge.reference, judge.nights, observations, options)
         options = replace(options, carried_over=fit.prior)
-        with positions_named(balls):
-            estimation = estimate_for_job(job, observations, options)
+        estimation = estimate_in_run(job, balls, observations, options)
     return _Fused(estimation, fit)
 
 

@@ -21,9 +21,9 @@ from twin.design.measuring_cost import MeasuringCosts
 from twin.design.procedure import MIN_BALLS
 from twin.design.search import ExchangeSearch, Selection
 from twin.identification import CarriedOverPrior, Options
+from twin.identification.jump import SuspectedJump
 from twin.machine.volumetric import evaluation_grid
 from twin.monitoring.discriminating_positions import JumpQuestions, rank_discriminating_positions
-from twin.monitoring.step_detection import SuspectedJump
 
 
 @dataclass(frozen=True, eq=False)

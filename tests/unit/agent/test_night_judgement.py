@@ -32,8 +32,8 @@ from drivers.clock import VirtualClock
 from twin.artefact.position_set import Position
 from twin.errors import DataError
 from twin.identification import DriftFactor
+from twin.identification.jump import SuspectedJump
 from twin.monitoring.night_fit import NightFit
-from twin.monitoring.step_detection import SuspectedJump
 
 LIMITS = NightlySettings(max_chi2=2.0, max_ve_growth=1.5, step_evidence=8.0)
 LAST_VE_UM = 4.0

@@ -9,12 +9,13 @@ from scipy.special import chdtrc
 
 from twin.artefact.observations import Observations
 from twin.identification import Estimate, Options, identify, predicted_vce
+from twin.identification.jump import ERRORS
 from twin.identification.problem import build_problem
 from twin.machine.forward_model import deviation_basis, exact_deviation
 from twin.machine.volumetric import evaluation_grid, volumetric_error
 from twin.monitoring.discriminating_positions import JumpQuestions
 from twin.monitoring.residual_with_active_table import ResidualWithTable, residual_covariance, uncompensated
-from twin.monitoring.step_detection import ERRORS, innovation
+from twin.monitoring.step_detection import innovation
 
 MODEL, FAMILY = case_study(3)
 SIGMA = FAMILY.prior_standard_deviation

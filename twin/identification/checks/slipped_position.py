@@ -34,11 +34,13 @@ _UNDETERMINED = 1e-8  # relative eigenvalue of K below which a motion is undeter
 class Slip:
     """Slip of the artefact before the ball in `row` was measured, and after the ball in `row` - 1.
 
-    `row` is an index into the rows sorted by position. `size_mm` is the rms displacement of the later balls.
+    `row` is an index into the rows sorted by position. `size_mm` is the rms displacement of the later balls. `gain` is
+    the decrease of χ² by the second pose.
     """
 
     row: int
     size_mm: float
+    gain: float
 
 
 def slip_in(flagged: Rows, found: WhitenedResiduals, false_alarm: float) -> Slip | None:
@@ -80,7 +82,7 @@ def _slip_of(first: int, end: int, found: WhitenedResiduals, share: float) -> tu
     if gain / found.scale <= max(limit, _BETTER_THAN_BALLS * _worst_pair(residuals, covariance) / found.scale):
         return None
     moved = motions[place:] @ (found.variance * change)
-    return gain, Slip(first + place, float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))))
+    return gain, Slip(first + place, float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))), gain / found.scale)
 
 
 def _gain(columns: Array, residuals: Array, covariance: Array) -> tuple[float, int, Array]:

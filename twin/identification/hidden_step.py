@@ -1,0 +1,169 @@
+"""Largest sudden change of the machine that a set of positions could hide, if it happens between two positions.
+
+A step a of the coefficients of one error, which only the positions after it see, shifts the estimate. Let M be the
+information of these positions (sum of AᵀA/σ² with the whitened design matrix A of a position, whose pose is projected
+out, and the noise σ), C the posterior covariance of the unknowns with all positions, and J the matrix that selects the
+coefficients. The estimate is then C M J a away from the machine before the step, and a - C M J a from the machine
+after it. The table suits one of the two better than the other, and that one counts: a step that only the last position
+could have seen is like one after the run, about which no set of positions can say anything.
+
+The step test (module `twin.identification.checks.step_in_run`) finds the step with the noncentrality
+
+    λ = aᵀF a,   F = Jᵀ(M - M C M)J,
+
+with a probability of 95 % if λ exceeds a limit that follows from the false alarm rate of the test. A step with the
+shape that is typical of the machine's family and just this noncentrality leaves the mean square error
+
+    λ trace(B) / trace(F)
+
+over the workspace, where B is the quadratic form of the error that remains. Coefficients are in units of their standard
+deviations in the family.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.identification.centres import CentreEquations
+from twin.identification.jump import ERRORS, coefficients_of
+from twin.identification.unknowns import Unknowns
+from twin.machine.error_model import SQUARENESS
+from twin.machine.volumetric import QuadraticForm, evaluation_grid
+from twin.units import MICRO_UNITS, UM_PER_MM
+
+FALSE_ALARM = 0.01
+"""Probability with which the step test may report a step of a machine that did not change."""
+
+_POWER = 1.645  # quantile of the normal distribution for 95 %
+_UNSEEN = 1e-9  # information about a step below which no size of it would be found
+
+
+@dataclass(frozen=True)
+class HiddenStep:
+    """Sudden change of `error` that the step test finds with a probability of just 95 %, if it happens between the two
+    positions `between`, which are given by their indices; None if the order of measuring is not known.
+
+    It has the size `change` in `unit`: the change of the angle of a squareness, or the rms of the change of an error
+    motion over the travel. The table then leaves the volumetric error `vce_um` that it would not leave without the
+    step, after removal of the best-fitting rigid motion.
+    """
+
+    error: str
+    change: float
+    unit: str
+    vce_um: float
+    between: tuple[int, int] | None = None
+
+    @property
+    def text(self) -> str:
+        """The step in words."""
+        kind = "" if self.error in SQUARENESS else " rms"
+        where = "" if self.between is None else f" between positions {self.between[0]} and {self.between[1]}"
+        return f"{self.error} by {self.change:.1f} {self.unit}{kind}{where}"
+
+    @property
+    def note(self) -> str:
+        """What the step could do unnoticed, in words."""
+        return f"a change of {self.text} would be noticed with a probability of 95 %; it leaves {self.vce_um:.1f} µm"
+
+    def numbered(self, numbers: Sequence[int]) -> HiddenStep:
+        """Return the same step with the number of each position in place of its index."""
+        if self.between is None:
+            return self
+        earlier, later = self.between
+        return replace(self, between=(numbers[earlier], numbers[later]))
+
+
+@dataclass(frozen=True, eq=False)
+class StepVisibility:
+    """Visibility of a step between the K positions of a set with P unknowns, of which the first p are the parameters.
+
+    `design` (K, r, P) contains A/σ of each position, where A is the whitened design matrix with the pose projected out.
+    `carried` (K, P, r) contains C Aᵀ/σ with the posterior covariance C of the unknowns. `form` (p, p) is the quadratic
+    form of the volumetric error, aligned, in mm² for parameters in units of their prior standard deviations.
+    """
+
+    unknowns: Unknowns
+    design: Array
+    carried: Array
+    form: Array
+
+    @classmethod
+    def of(cls, equations: CentreEquations, covariance: Array, noise: float, tool_offset: Array) -> StepVisibility:
+        """Return the visibility of a step in measurements with these equations. `covariance` (P, P) is the posterior
+        covariance of the unknowns, `noise` the scale of the noise, and `tool_offset` (3,) in mm that of the tool for
+        which the table is made."""
+        problem = equations.problem
+        positions, unknowns = problem.layout.positions, problem.unknowns
+        design = problem.layout.pad(equations.projected(problem.blocks.size)).reshape(positions, -1, len(covariance))
+        carried = (design.reshape(-1, len(covariance)) @ covariance).reshape(design.shape).transpose(0, 2, 1)
+        form = QuadraticForm.build(unknowns.model, evaluation_grid(unknowns.model.ranges_mm), tool_offset).aligned
+        scaled = form * np.multiply.outer(unknowns.scale, unknowns.scale)
+        return cls(unknowns, design / noise, carried / noise, scaled)
+
+    def largest_in_order(self, order: Sequence[int]) -> HiddenStep | None:
+        """Return the largest hidden step if the positions are measured in this order, given by their indices. Return
+        None if there is no instant between two positions."""
+        seen, shift = self._nothing_seen()
+        found = list[HiddenStep]()
+        for earlier, later in reversed(list(pairwise(order))):
+            seen, shift = self._with(later, seen, shift)
+            found += [replace(one, between=(earlier, later)) for one in self._steps(seen, shift)]
+        return max(found, key=lambda one: one.vce_um, default=None)
+
+    def largest(self, after: Iterable[int]) -> HiddenStep | None:
+        """Return the largest hidden step that only the positions with the indices `after` see. Return None if no size
+        of a step would be found."""
+        seen, shift = self._nothing_seen()
+        for position in after:
+            seen, shift = self._with(position, seen, shift)
+        return max(self._steps(seen, shift), key=lambda one: one.vce_um, default=None)
+
+    def _nothing_seen(self) -> tuple[Array, Array]:
+        nothing = np.zeros((self.design.shape[2], len(self.form)))
+        return nothing, nothing
+
+    def _with(self, position: int, seen: Array, shift: Array) -> tuple[Array, Array]:
+        """Return M and C M (P, p), to which this position has been added."""
+        design = self.design[position][:, : len(self.form)]
+        return seen + self.design[position].T @ design, shift + self.carried[position] @ design
+
+    def _steps(self, seen: Array, shift: Array) -> list[HiddenStep]:
+        size = len(self.form)
+        information = seen[:size] - seen.T @ shift
+        moved = shift[:size]
+        rest = np.eye(size) - moved
+        # diagonals of the quadratic forms of the errors that remain on the machine before and after the step
+        before, later = (np.einsum("ij,ij->j", one, self.form @ one) for one in (moved, rest))
+        found = [self._of(error, information, before, later) for error in ERRORS]
+        return [one for one in found if one is not None]
+
+    def _of(self, error: str, information: Array, before: Array, later: Array) -> HiddenStep | None:
+        columns = coefficients_of(self.unknowns, error)
+        inner = information[np.ix_(columns, columns)]
+        seen = float(np.trace(inner))
+        if not columns.size or seen < _UNSEEN:
+            return None
+        hypotheses = len(ERRORS) * max(len(self.design) - 1, 1)
+        penalty = float(np.linalg.slogdet(np.eye(len(columns)) + inner)[1])
+        limit = math.sqrt(2.0 * math.log(hypotheses / FALSE_ALARM) + max(penalty, 0.0)) + _POWER
+        square = limit**2 / seen  # mean square of the coefficients' steps, times their number
+        left = min(float(before[columns].sum()), float(later[columns].sum()))
+        change, unit = self._size(error, columns, math.sqrt(square))
+        return HiddenStep(error, change, unit, UM_PER_MM * math.sqrt(max(square * left, 0.0)))
+
+    def _size(self, error: str, columns: np.ndarray[tuple[int], np.dtype[np.int64]], size: float) -> tuple[float, str]:
+        parameters = [self.unknowns.model.parameters[i] for i in columns]
+        steps = size * self.unknowns.scale[columns]
+        unit, factor = MICRO_UNITS[parameters[0].unit]
+        if error in SQUARENESS:
+            return factor * float(steps[0]), unit
+        # mean square of a Legendre polynomial of order n
+        shares = np.array([1.0 / (2.0 * one.order + 1.0) for one in parameters])
+        return factor * math.sqrt(float(shares @ steps**2)), unit
