@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -23,7 +24,9 @@ from twin.artefact.position_set import Position
 from twin.artefact.touch_pattern import centre_covariance
 from twin.collision.geometry import Point
 from twin.collision.measuring_layout import MeasuringLayout
-from twin.design.procedure import Procedure
+from twin.design.measurement_setup import AS_STATED
+from twin.design.procedure import PlannedMeasurement, Procedure
+from twin.identification.hidden_step import HiddenStep, StepVisibility
 from twin.machine.machine_description import MachineDescription
 
 
@@ -116,7 +119,39 @@ class Job:
 
     @cached_property
     def _ordering(self) -> OrderOptimiser:
-        return OrderOptimiser(self.layout, self.rules, time_model(self.machine, self.settings.timing))
+        times = time_model(self.machine, self.settings.timing)
+        return OrderOptimiser(self.layout, self.rules, times, self._hidden_after_stations)
+
+    def _hidden_after_stations(self, stations: frozenset[int]) -> float:
+        """Return the error in µm that a change of the machine could leave unnoticed if only these stations are measured
+        after it; 0 if no station is measured before it."""
+        planned = self._planned
+        after = [place for place, position in enumerate(planned.positions) if position.station in stations]
+        if not 0 < len(after) < len(planned.positions):
+            return 0.0
+        hidden = self.step_visibility.largest(after)
+        return math.inf if hidden is None else hidden.vce_um
+
+    @cached_property
+    def _planned(self) -> PlannedMeasurement:
+        return self.procedure.plan(self.positions)
+
+    @cached_property
+    def step_visibility(self) -> StepVisibility:
+        """Visibility of a sudden change of the machine between the positions of `position_set`, in the order of the
+        planned measurement."""
+        artefact_k = self.settings.temperature.artefact_uncertainty_k
+        options = replace(AS_STATED, temperature_standard_uncertainty_k=artefact_k)
+        observations, family = self._planned.observations, self.machine.family
+        return StepVisibility.planned(family, self.artefact, observations, options, self.tool_offset_mm)
+
+    @property
+    def hidden_step(self) -> HiddenStep | None:
+        """Largest sudden change of the machine that the measuring order could hide. Positions are numbered in this
+        order, from 0. Those that cannot be measured are left out; None if fewer than two remain."""
+        measured, planned = self.measuring_order.positions, self._planned.positions
+        hidden = self.step_visibility.largest_in_order([planned.index(one) for one in measured if one in planned])
+        return None if hidden is None else hidden.numbered([measured.index(one) for one in planned])
 
     @property
     def repeat_rules(self) -> RepeatRules:

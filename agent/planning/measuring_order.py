@@ -3,7 +3,9 @@
 The order depends only on the settings, so a resumed run has the same order. The cost of a change of position is the
 time of the mount's turn plus the time of two paths. The first path leads from the last ball of a position to a point
 clear of the turning artefact, and the second leads from that point to the first ball of the next position. The cost of
-a change of station is the time that the operator needs to carry the artefact.
+a change of station is the time that the operator needs to carry the artefact. Several orders of the stations usually
+need the same number of carries. Among these, the order counts that shows a sudden change of the machine best: in travel
+order, a change with time looks like a change along the travel.
 """
 
 from __future__ import annotations
@@ -35,6 +37,8 @@ PARK_DETOUR_S = 20.0
 AT_REST_DEG = (0.0, 0.0)
 
 Angles = tuple[float, float]
+HiddenError = Callable[[frozenset[int]], float]
+_AS_GOOD = 1.05  # largest ratio of the hidden errors of two orders that count as equally good
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,18 +47,23 @@ class OrderOptimiser:
 
     If the rules ask for plain paths between positions, only the turns of the mount are counted. Plain paths lead by way
     of the retreat plane, which no part of artefact or mount reaches, and all of them take about the same time.
+
+    `hidden_um` returns the error in µm that a sudden change of the machine could leave unnoticed, if only the given
+    stations are measured after it.
     """
 
     layout: MeasuringLayout
     rules: PositionRules
     times: TimeModel
+    hidden_um: HiddenError
 
     def stations(self, listed: Sequence[int], standing_at: int | None, last_at: Sequence[int]) -> tuple[int, ...]:
         """Return the stations `listed` in the order in which the artefact has to be carried least often.
 
         The order starts at the station `standing_at`, where the artefact stands. The stations `last_at` are measured
-        afterwards, for the verification, and the carries to them are counted too. If two orders need the same number of
-        carries, the order with the shorter carrying distance along X is chosen; if these are equal too, the listed
+        afterwards, for the verification, and the carries to them are counted too. Among orders with the same number of
+        carries, the one is chosen in which a sudden change of the machine could leave the smallest error unnoticed. If
+        these agree within 5 %, the one with the shorter carrying distance along X; if these are equal too, the listed
         order.
 
         If there are more than `MAX_PERMUTED_STATIONS` (7) stations, the station `standing_at` comes first and the
@@ -62,7 +71,17 @@ class OrderOptimiser:
         """
         if len(listed) > MAX_PERMUTED_STATIONS:
             return (*(s for s in listed if s == standing_at), *(s for s in listed if s != standing_at))
-        return min(permutations(listed), key=lambda order: self._carrying(order, standing_at, last_at))
+        carries = {order: self._carries(order, standing_at, last_at) for order in permutations(listed)}
+        fewest = min(carries.values())
+        hidden_um = cache(self.hidden_um)
+        # the change may happen while the artefact is carried from any station to the next
+        hidden = {
+            order: max((hidden_um(frozenset(order[first:])) for first in range(1, len(order))), default=0.0)
+            for order, count in carries.items()
+            if count == fewest
+        }
+        smallest = min(hidden.values())
+        return min((order for order, um in hidden.items() if um <= _AS_GOOD * smallest), key=self._distance_mm)
 
     def positions(self, positions: Sequence[Position], stations: Sequence[int]) -> tuple[Position, ...]:
         """Return the positions in the order of `stations`, with all positions of a station together.
@@ -79,14 +98,14 @@ class OrderOptimiser:
             angles = _angles(order[-1]) if order else angles
         return tuple(done)
 
-    def _carrying(
-        self, order: Sequence[int], standing_at: int | None, last_at: Sequence[int]
-    ) -> tuple[bool, int, float]:
+    def _carries(self, order: Sequence[int], standing_at: int | None, last_at: Sequence[int]) -> tuple[bool, int]:
         elsewhere = bool(order) and standing_at in order and order[0] != standing_at
         carries = sum(1 for station in order[:1] if station != standing_at) + len(order) - 1
-        carries += len(set(last_at)) - (1 if order and order[-1] in last_at else 0)
+        return elsewhere, carries + len(set(last_at)) - (1 if order and order[-1] in last_at else 0)
+
+    def _distance_mm(self, order: Sequence[int]) -> float:
         places = [float(self.layout.location(station)[self.layout.station_axis]) for station in order]
-        return elsewhere, carries, sum(abs(b - a) for a, b in pairwise(places))
+        return sum(abs(b - a) for a, b in pairwise(places))
 
     def _at_station(self, positions: Sequence[Position], angles: Angles) -> list[Position]:
         begin = Position(positions[0].station, *angles, tool="mount") if positions else None

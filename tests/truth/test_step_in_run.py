@@ -88,7 +88,7 @@ def test_what_the_order_of_the_stations_hides_is_stated() -> None:
     assert first is not None
     assert first.between is not None
     assert first.between[0] + 1 == first.between[1]
-    assert f"between positions {first.between[0]} and {first.between[1]}" in first.text
+    assert f"between positions {first.between[0]} and {first.between[1]}" in first.note
 
 
 def test_the_order_of_the_rows_is_the_order_of_measuring() -> None:

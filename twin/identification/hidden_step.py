@@ -30,10 +30,16 @@ from itertools import pairwise
 import numpy as np
 
 from twin.arrays import Array
+from twin.artefact.artefact import Artefact
+from twin.artefact.observations import Observations
 from twin.identification.centres import CentreEquations
 from twin.identification.jump import ERRORS, coefficients_of
+from twin.identification.normal import Posterior, PriorPrecision, Scales
+from twin.identification.options import Options
+from twin.identification.problem import build_problem
 from twin.identification.unknowns import Unknowns
 from twin.machine.error_model import SQUARENESS
+from twin.machine.machine_population import Family
 from twin.machine.volumetric import QuadraticForm, evaluation_grid
 from twin.units import MICRO_UNITS, UM_PER_MM
 
@@ -63,14 +69,14 @@ class HiddenStep:
     @property
     def text(self) -> str:
         """The step in words."""
-        kind = "" if self.error in SQUARENESS else " rms"
-        where = "" if self.between is None else f" between positions {self.between[0]} and {self.between[1]}"
-        return f"{self.error} by {self.change:.1f} {self.unit}{kind}{where}"
+        return f"{self.error} by {self.change:.1f} {self.unit}{'' if self.error in SQUARENESS else ' rms'}"
 
     @property
     def note(self) -> str:
         """What the step could do unnoticed, in words."""
-        return f"a change of {self.text} would be noticed with a probability of 95 %; it leaves {self.vce_um:.1f} µm"
+        where = "" if self.between is None else f" between positions {self.between[0]} and {self.between[1]}"
+        found = "is found with a probability of 95 %; unnoticed, it would leave"
+        return f"a change of {self.text}{where} {found} {self.vce_um:.1f} µm"
 
     def numbered(self, numbers: Sequence[int]) -> HiddenStep:
         """Return the same step with the number of each position in place of its index."""
@@ -106,6 +112,17 @@ class StepVisibility:
         form = QuadraticForm.build(unknowns.model, evaluation_grid(unknowns.model.ranges_mm), tool_offset).aligned
         scaled = form * np.multiply.outer(unknowns.scale, unknowns.scale)
         return cls(unknowns, design / noise, carried / noise, scaled)
+
+    @classmethod
+    def planned(
+        cls, family: Family, artefact: Artefact, observations: Observations, options: Options, tool_offset: Array
+    ) -> StepVisibility:
+        """Return the visibility of a step in a planned measurement, whose ball centres are `observations`. All standard
+        deviations are assumed to be as stated. Raise DataError if a ball is not on the artefact."""
+        problem = build_problem(family, observations, artefact, options)
+        equations = CentreEquations.build(problem, unit_weights=False)
+        posterior = Posterior.of(equations.matrix, PriorPrecision(problem.blocks, problem.known), Scales())
+        return cls.of(equations, posterior.covariance, 1.0, tool_offset)
 
     def largest_in_order(self, order: Sequence[int]) -> HiddenStep | None:
         """Return the largest hidden step if the positions are measured in this order, given by their indices. Return

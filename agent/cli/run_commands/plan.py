@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
@@ -36,6 +37,7 @@ if will_run():
     from agent.runs.kinds.calibrate import calibration_of, preflight_of
     from agent.settings.load import load_settings, naming, with_overrides
     from twin.design.valuation import Valuation
+    from twin.identification.hidden_step import HiddenStep
     from twin.units import S_PER_MIN
 
 
@@ -154,6 +156,7 @@ def _document(
         "predicted_vce_um": expectation.vce.aligned_um,
         "predicted_vce_raw_um": expectation.vce.raw_um,
         "valuation_percent": round(valuation.percent, 2),
+        "hidden_step": _hidden_document(job),
         "gates": [forecast.as_json() for forecast in gates],
         "wall_seconds": round(preflight.wall_seconds, 3),
         "files": [str(path) for path in files],
@@ -177,9 +180,29 @@ def _table(
         ("rank", f"{expectation.rank} of {expectation.parameters} parameters"),
         ("expected VCE", f"{expectation.vce.aligned_um:.2f} µm aligned"),
         ("valuation", f"{valuation.percent:.1f} % of the volumetric error is expected to be removed"),
+        ("change while measuring", _hidden(job)),
         ("preflight took", f"{preflight.wall_seconds:.2f} s for {preflight.commands} steps"),
     ]
     return facts_table(rows, title="preflight passed: no collision, no limit")
+
+
+def _hidden_document(job: Job) -> dict[str, object] | None:
+    hidden = job.hidden_step
+    return None if hidden is None else {**asdict(hidden), "between": _between(job, hidden)}
+
+
+def _between(job: Job, hidden: HiddenStep) -> list[str]:
+    return [position_key(job.measuring_order.positions[number]) for number in hidden.between or ()]
+
+
+def _hidden(job: Job) -> str:
+    hidden = job.hidden_step
+    if hidden is None:
+        return "cannot be found: fewer than two positions"
+    earlier, later = _between(job, hidden)
+    return (
+        f"{hidden.text} between {earlier} and {later} is just found; unnoticed, it would leave {hidden.vce_um:.1f} µm"
+    )
 
 
 def _held_out(job: Job, expectation: PredictedAccuracy) -> str:
