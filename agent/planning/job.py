@@ -20,6 +20,7 @@ from agent.probing.run_plan import MeasuredPositions, MeasuringOrder, by_station
 from agent.settings.schema import GateSettings, Settings
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
+from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
 from twin.artefact.touch_pattern import centre_covariance
 from twin.collision.geometry import Point
@@ -138,31 +139,58 @@ class Job:
 
     @cached_property
     def step_visibility(self) -> StepVisibility:
-        """Visibility of a sudden change of the machine between the positions of `position_set`, in the order of the
+        """Visibility of a sudden change of the machine between the positions of the position set, in the order of the
         planned measurement."""
+        return self._visibility(self._planned.observations)
+
+    def _visibility(self, observations: Observations) -> StepVisibility:
         artefact_k = self.settings.temperature.artefact_uncertainty_k
         options = replace(AS_STATED, temperature_standard_uncertainty_k=artefact_k)
-        observations, family = self._planned.observations, self.machine.family
+        family = self.machine.family
         return StepVisibility.planned(family, self.artefact, observations, options, self.tool_offset_mm)
+
+    @cached_property
+    def closing_positions(self) -> tuple[Position, ...]:
+        """Positions of the first station that are measured again at the end: those that together show a change of the
+        machine best. They are chosen one after the other. Positions that cannot be measured are left out."""
+        once = [one for one in self.measuring_order.positions if one in self._planned.positions]
+        count = self.settings.procedure.closing_positions
+        if count == 0 or not once:
+            return ()
+        again = [one for one in once if one.station == once[0].station]
+        both = self._visibility(self.procedure.plan((*once, *again)).observations)
+        chosen = list[int]()
+        for _ in range(min(count, len(again))):
+            left = [number for number in range(len(again)) if number not in chosen]
+            hidden = [_hidden_um(both, len(once), sorted((*chosen, number))) for number in left]
+            chosen.append(left[hidden.index(min(hidden))])
+        return tuple(again[number] for number in sorted(chosen))
 
     @property
     def hidden_step(self) -> HiddenStep | None:
-        """Largest sudden change of the machine that the measuring order could hide. Positions are numbered in this
-        order, from 0. Those that cannot be measured are left out; None if fewer than two remain."""
-        measured, planned = self.measuring_order.positions, self._planned.positions
-        hidden = self.step_visibility.largest_in_order([planned.index(one) for one in measured if one in planned])
-        return None if hidden is None else hidden.numbered([measured.index(one) for one in planned])
+        """Largest sudden change of the machine that the measurement could hide. Positions are numbered in the order of
+        measuring, from 0, closing positions last. Those that cannot be measured are left out; None if fewer than two
+        remain."""
+        listed = (*self.measuring_order.positions, *self.closing_positions)
+        numbers = [number for number, one in enumerate(listed) if one in self._planned.positions]
+        observations = self.procedure.plan([listed[number] for number in numbers]).observations
+        hidden = self._visibility(observations).largest_in_order(range(len(numbers)))
+        return None if hidden is None else hidden.numbered(numbers)
 
     @property
     def repeat_rules(self) -> RepeatRules:
-        """Rules for measuring the first positions of the position set again at the end of the measurements if the
-        temperature of the machine has changed.
+        """Rules for measuring positions of the first station again at the end of the measurements: the closing
+        positions or, if the temperature of the machine has changed, the first positions of the position set.
 
         Held-out positions are not repeated.
         """
         chosen = self.settings.temperature
         return RepeatRules(
-            chosen.repeat_after_change_k, chosen.declared_change_k, chosen.repeat_positions, self.positions
+            chosen.repeat_after_change_k,
+            chosen.declared_change_k,
+            chosen.repeat_positions,
+            self.positions,
+            self.closing_positions,
         )
 
     def preparation_plan(self) -> Plan[PreparationResult]:
@@ -200,6 +228,14 @@ class Job:
             for ball in (position.all_balls if again else position.balls)
             if ((ball.station, ball.azimuth_deg, ball.elevation_deg) in kept_out) is held_out
         ]
+
+
+def _hidden_um(both: StepVisibility, once: int, again: list[int]) -> float:
+    """Return the error in µm of the largest hidden step, if the positions `again` are repeated after the first `once`
+    ones."""
+    chosen = both.restricted_to([*range(once), *(once + number for number in again)])
+    hidden = chosen.largest_in_order(range(len(chosen.design)))
+    return math.inf if hidden is None else hidden.vce_um
 
 
 Planner = Callable[[Job], RunPlan]

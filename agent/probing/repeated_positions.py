@@ -1,5 +1,5 @@
-"""Repetition of positions after a change of temperature. If the temperature of the machine has changed during the run,
-the positions that were measured first are measured again at the end.
+"""Repetition of positions at the end of the measurements: always, as a closing look, or if the temperature of the
+machine has changed during the run.
 
 Stations are measured one after the other. A change with time therefore looks like a change along the travel: a scale of
 an axis that grows with time and a nonlinear scale give the same readings. Only positions that are measured both early
@@ -28,15 +28,17 @@ ONCE, REPEATED = "measured once", "first positions repeated"
 class RepeatRules:
     """Rules for the repetition of positions at the end of a run.
 
-    If the machine's temperature changes by `threshold_k` or more, the first `count` measured positions that are among
-    `candidates` are repeated. All repeated positions are at one station. `declared_k` is the change of temperature that
-    is assumed if the machine has no thermometer.
+    The positions `closing` are repeated in any case. If there are none and the machine's temperature changes by
+    `threshold_k` or more, the first `count` measured positions that are among `candidates` are repeated. All repeated
+    positions are at one station. `declared_k` is the change of temperature that is assumed if the machine has no
+    thermometer.
     """
 
     threshold_k: float
     declared_k: float
     count: int
     candidates: Collection[Position]
+    closing: tuple[Position, ...] = ()
 
 
 def measure_with_repeats(
@@ -46,20 +48,23 @@ def measure_with_repeats(
     repeats: RepeatRules,
     then: Callable[[MeasuredPositions], RunPlan],
 ) -> RunPlan:
-    """Measure the positions of `order`. If the machine's temperature has changed by `repeats.threshold_k` or more
-    during the measurement, measure the first positions again according to `repeats`. The run then continues with the
-    plan that `then` returns for the measurements.
+    """Measure the positions of `order`, and positions of the first station again according to `repeats`. The run then
+    continues with the plan that `then` returns for the measurements.
     """
     measured = yield from measure_positions(order, layout, rules)
+    if repeats.closing:
+        reason = "positions of the first station are measured again, to see if the machine has changed"
+        return (yield from _repeated(measured, repeats.closing, reason, layout, rules, then))
     first = _first(measured, repeats)
     if not first:
         return (yield from then(measured))
     change_k = machine_change_k([ball.conditions for ball in measured_balls(measured)], repeats.declared_k)
     choice = REPEATED if change_k >= repeats.threshold_k else ONCE
+    reason = f"the machine has changed by {change_k:.2f} K: positions of the first station are measured again"
     return Fork(
         f"{order.prefix}/repeat",
         lambda: choice,
-        {ONCE: lambda: then(measured), REPEATED: lambda: _repeated(measured, first, change_k, layout, rules, then)},
+        {ONCE: lambda: then(measured), REPEATED: lambda: _repeated(measured, first, reason, layout, rules, then)},
         expected=choice,
     )
 
@@ -67,13 +72,12 @@ def measure_with_repeats(
 def _repeated(
     measured: MeasuredPositions,
     first: tuple[Position, ...],
-    change_k: float,
+    reason: str,
     layout: MeasuringLayout,
     rules: PositionRules,
     then: Callable[[MeasuredPositions], RunPlan],
 ) -> RunPlan:
-    note = f"the machine has changed by {change_k:.2f} K: positions of the first station are measured again"
-    yield Record(f"{REPEAT_PREFIX}/machine", "event", {"note": note})
+    yield Record(f"{REPEAT_PREFIX}/machine", "event", {"note": reason})
     again = MeasuringOrder(REPEAT_PREFIX, first, measured.standing_at, measured.placed)
     more = yield from measure_positions(again, layout, rules, measured.mount_poses)
     return (yield from then(join_measured(measured, more)))

@@ -113,6 +113,7 @@ class ProcedureSettings(StrictModel):
     paths: Literal["shortest", "plain"] = "shortest"
     clearance_mm: PositiveFloat = Field(default=1.0, le=50.0)
     optimise_order: bool = True
+    closing_positions: int = Field(default=0, ge=0, le=20)
     touch_stages: Literal[1, 2] = 1
     first_touch_feed_mm_per_min: PositiveFloat = Field(default=1000.0, le=3000.0)
     back_off_mm: PositiveFloat = Field(default=1.0, le=10.0)

@@ -25,6 +25,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -91,13 +92,13 @@ class StepVisibility:
     """Visibility of a step between the K positions of a set with P unknowns, of which the first p are the parameters.
 
     `design` (K, r, P) contains A/σ of each position, where A is the whitened design matrix with the pose projected out.
-    `carried` (K, P, r) contains C Aᵀ/σ with the posterior covariance C of the unknowns. `form` (p, p) is the quadratic
-    form of the volumetric error, aligned, in mm² for parameters in units of their prior standard deviations.
+    `covariance` (P, P) is the posterior covariance of the unknowns. `form` (p, p) is the quadratic form of the
+    volumetric error, aligned, in mm² for parameters in units of their prior standard deviations.
     """
 
     unknowns: Unknowns
     design: Array
-    carried: Array
+    covariance: Array
     form: Array
 
     @classmethod
@@ -108,10 +109,8 @@ class StepVisibility:
         problem = equations.problem
         positions, unknowns = problem.layout.positions, problem.unknowns
         design = problem.layout.pad(equations.projected(problem.blocks.size)).reshape(positions, -1, len(covariance))
-        carried = (design.reshape(-1, len(covariance)) @ covariance).reshape(design.shape).transpose(0, 2, 1)
         form = QuadraticForm.build(unknowns.model, evaluation_grid(unknowns.model.ranges_mm), tool_offset).aligned
-        scaled = form * np.multiply.outer(unknowns.scale, unknowns.scale)
-        return cls(unknowns, design / noise, carried / noise, scaled)
+        return cls(unknowns, design / noise, covariance, form * np.multiply.outer(unknowns.scale, unknowns.scale))
 
     @classmethod
     def planned(
@@ -123,6 +122,18 @@ class StepVisibility:
         equations = CentreEquations.build(problem, unit_weights=False)
         posterior = Posterior.of(equations.matrix, PriorPrecision(problem.blocks, problem.known), Scales())
         return cls.of(equations, posterior.covariance, 1.0, tool_offset)
+
+    @cached_property
+    def carried(self) -> Array:
+        """C Aᵀ/σ (K, P, r) of each position, with the posterior covariance C of the unknowns."""
+        rows = self.design.reshape(-1, len(self.covariance)) @ self.covariance
+        return rows.reshape(self.design.shape).transpose(0, 2, 1)
+
+    def restricted_to(self, positions: Sequence[int]) -> StepVisibility:
+        """Return the visibility of a step if only the positions with these indices are measured, in this order."""
+        left_out = np.delete(self.design, list(positions), axis=0).reshape(-1, len(self.covariance))
+        precision = np.linalg.inv(self.covariance) - left_out.T @ left_out
+        return replace(self, design=self.design[list(positions)], covariance=np.asarray(np.linalg.inv(precision)))
 
     def largest_in_order(self, order: Sequence[int]) -> HiddenStep | None:
         """Return the largest hidden step if the positions are measured in this order, given by their indices. Return

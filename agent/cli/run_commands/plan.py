@@ -192,7 +192,8 @@ def _hidden_document(job: Job) -> dict[str, object] | None:
 
 
 def _between(job: Job, hidden: HiddenStep) -> list[str]:
-    return [position_key(job.measuring_order.positions[number]) for number in hidden.between or ()]
+    measured = (*job.measuring_order.positions, *job.closing_positions)
+    return [position_key(measured[number]) for number in hidden.between or ()]
 
 
 def _hidden(job: Job) -> str:
@@ -200,9 +201,7 @@ def _hidden(job: Job) -> str:
     if hidden is None:
         return "cannot be found: fewer than two positions"
     earlier, later = _between(job, hidden)
-    return (
-        f"{hidden.text} between {earlier} and {later} is just found; unnoticed, it would leave {hidden.vce_um:.1f} µm"
-    )
+    return f"{hidden.text} between {earlier} and {later} is just found; unnoticed, it leaves {hidden.vce_um:.1f} µm"
 
 
 def _held_out(job: Job, expectation: PredictedAccuracy) -> str:
