@@ -26,6 +26,7 @@ from agent.results.gates import (
     CHANGE,
     GATE_RULES,
     NIGHT,
+    PATTERN,
     PROBE,
     PROOF,
     PROOF_FIT,
@@ -153,6 +154,7 @@ class _Design:
             redundancy_gate(self.estimate.degrees_of_freedom, limits),
             self._certificate(limits.max_certificate_sigma),
             Gate(STEP, True, 1.0, limits.step_false_alarm, "probability bound of a machine that does not change"),
+            Gate(PATTERN, True, 1.0, limits.pattern_false_alarm, "probability bound of balls that are not shifted"),
             self._change(),
             Gate(NIGHT, limits.night_false_alarm <= 0.5, 0.5, limits.night_false_alarm, "probability of a night"),
         )

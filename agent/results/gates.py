@@ -18,7 +18,7 @@ from agent.settings.schema import GateSettings
 from drivers.errors import InputError
 from drivers.roles import StoreLimits
 from twin.compensation.table import CompensationTable
-from twin.identification import BallCheck, Estimate, StepInRun
+from twin.identification import BallCheck, Estimate, PatternTest, StepInRun
 from twin.units import UM_PER_MM
 
 CHANGE = "change"
@@ -33,6 +33,9 @@ NIGHT = "night"
 
 STEP = "step in run"
 """Name of the gate for a sudden change of the machine during the measurement."""
+
+PATTERN = "pattern"
+"""Name of the gate for shifts of the balls that follow a pattern over all positions, such as lost motion."""
 
 PROBE, PROOF, PROOF_FIT = "probe", "proof", "proof fit"
 """Names of limits that a run meets elsewhere: the check of the probe, and the proof of the new table."""
@@ -61,6 +64,7 @@ GATE_RULES: Mapping[str, GateRule] = {
         "gates.max_certificate_sigma", "raise the limit; the largest of several right balls reaches this value"
     ),
     STEP: GateRule("gates.step_false_alarm", "lower the limit, which is a probability"),
+    PATTERN: GateRule("gates.pattern_false_alarm", "lower the limit, which is a probability"),
     CHANGE: GateRule("gates.max_change", "raise the limit; an unchanged machine reaches this value"),
     NIGHT: GateRule("gates.night_false_alarm", "lower the limit; a night that fits reaches this probability"),
     "correction": GateRule("gates.max_correction_um", _FAMILY),
@@ -90,7 +94,11 @@ BETTER_CERTIFICATE = (
 MACHINE_CHANGED = (
     "look for the cause (a collision, a clamp, a carried artefact, a machine that warms up), and measure again"
 )
-"""Remedies for gates that a run did not pass: for the gate `CERTIFICATE`, for the gate `STEP`, and for all others."""
+SHIFTED = (
+    "correct it at its cause (the reversal error of an axis, its counterweight, `sag_um` in the artefact file), and "
+    "measure again"
+)
+"""Remedies for gates that a run did not pass: for the gates `CERTIFICATE`, `STEP` and `PATTERN`, and for all others."""
 
 
 @dataclass(frozen=True)
@@ -108,13 +116,15 @@ class Gate:
 
 
 def estimate_gates(estimate: Estimate, limits: GateSettings) -> tuple[Gate, ...]:
-    """Return the four gates (limits) for the estimate: the fit of the residuals, the number of redundant measurements,
-    the agreement of the balls with their certificate, and a machine that did not change in the run."""
+    """Return the five gates (limits) for the estimate: the fit of the residuals, the number of redundant measurements,
+    the agreement of the balls with their certificate, a machine that did not change in the run, and balls that are not
+    shifted by a pattern."""
     return (
         fit_gate(estimate.chi2_normalised, limits),
         redundancy_gate(estimate.degrees_of_freedom, limits),
         certificate_gate(estimate.certificate_check, limits),
         step_gate(estimate.step, limits),
+        pattern_gate(estimate.pattern, limits),
     )
 
 
@@ -186,6 +196,22 @@ def step_gate(step: StepInRun | None, limits: GateSettings) -> Gate:
         return Gate(STEP, True, step.false_alarm, limit, text if step.hidden is None else f"{text}; {step.hidden.note}")
     suspects = "; or ".join(f"{one.text} ({100.0 * one.probability:.0f} %)" for one in step.suspects)
     return Gate(STEP, False, step.false_alarm, limit, f"the machine changed while it was measured: {suspects}")
+
+
+def pattern_gate(pattern: PatternTest | None, limits: GateSettings) -> Gate:
+    """Return the gate (limit) for shifts of the balls that follow a pattern over all positions: the probability of such
+    measurements, at most, without a pattern. The text names the likeliest causes.
+
+    `pattern` is None if the measurements were not tested for a pattern.
+    """
+    limit = limits.pattern_false_alarm
+    if pattern is None:
+        return Gate(PATTERN, True, 1.0, limit, "the balls were not tested for a pattern of shifts")
+    if pattern.false_alarm >= limit:
+        text = "probability of such measurements, at most, if no shift follows a pattern over all positions"
+        return Gate(PATTERN, True, pattern.false_alarm, limit, text)
+    suspects = "; or ".join(f"{one.text} ({100.0 * one.probability:.0f} %)" for one in pattern.suspects)
+    return Gate(PATTERN, False, pattern.false_alarm, limit, suspects)
 
 
 def _contradiction(check: BallCheck) -> str:
@@ -303,7 +329,7 @@ def require_passed(gates: Sequence[Gate], consent: str = "") -> None:
     `consent`, a sentence on what to do otherwise."""
     if names_of_failed(gates):
         failed = names_of_failed(gates)
-        remedies = {CERTIFICATE: BETTER_CERTIFICATE, STEP: MACHINE_CHANGED}
+        remedies = {CERTIFICATE: BETTER_CERTIFICATE, STEP: MACHINE_CHANGED, PATTERN: SHIFTED}
         remedy = next((text for name, text in remedies.items() if name in failed), MORE_POSITIONS)
         raise GateRefused(f"no table was written: {reasons(gates)}", hint=f"{remedy}{consent}")
 

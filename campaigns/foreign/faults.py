@@ -63,6 +63,39 @@ def crash(
     return Measurement(joined(first.select(first.position < position), last.select(last.position >= position)), after)
 
 
+def play(machine: ForeignMachine, bar: ForeignBar, places: Places, seed: int, *, axis: int, ball: int) -> Measurement:
+    """Let an axis that has 10 µm of lost motion reverse before `ball` in every position."""
+    seen = measure_at(machine, bar, places, np.random.default_rng(seed)).seen
+    return Measurement(shifted(seen, axis, seen.ball >= ball), machine)
+
+
+def play_by_side(machine: ForeignMachine, bar: ForeignBar, places: Places, seed: int, *, axis: int) -> Measurement:
+    """Let an axis that has 10 µm of lost motion be pushed to the other flank beyond the middle of its travel."""
+    seen = measure_at(machine, bar, places, np.random.default_rng(seed)).seen
+    middle = 0.5 * sum(machine.ranges[axis])
+    return Measurement(shifted(seen, axis, seen.axis_positions[:, axis] > middle), machine)
+
+
+def shifted(seen: Observations, axis: int, rows: np.ndarray) -> Observations:
+    """Return the observations with 10 µm more on the display of an axis in the rows of the mask `rows` (n,)."""
+    displayed = seen.axis_positions.copy()
+    displayed[rows, axis] += 0.01
+    return replace(seen, axis_positions=displayed)
+
+
+def sag(machine: ForeignMachine, bar: ForeignBar, places: Places, seed: int, *, ends_mm: float) -> Measurement:
+    """Let the ends of the bar hang by `ends_mm` below its middle if it is horizontal: two cantilevers of constant
+    section under their own weight, w(s) = (s⁴ - 4 s³ + 6 s²) / 3 at the share s of the length (Euler and Bernoulli)."""
+    seen = measure_at(machine, bar, places, np.random.default_rng(seed)).seen
+    assert seen.azimuth_rad is not None
+    azimuth, elevation = seen.azimuth_rad, seen.elevation_rad
+    along = np.stack((np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)), 1)
+    across = -np.array([0.0, 0.0, 1.0]) + along * along[:, 2:]
+    share = np.abs(bar.certified[seen.ball, 0]) / np.abs(bar.certified[:, 0]).max()
+    hanging = ends_mm * (share**4 - 4.0 * share**3 + 6.0 * share**2) / 3.0
+    return Measurement(replace(seen, axis_positions=seen.axis_positions + hanging[:, None] * across), machine)
+
+
 def joined(first: Observations, last: Observations) -> Observations:
     """Return the rows of both observations, which have the same tools."""
     assert first.azimuth_rad is not None
@@ -85,6 +118,11 @@ FAULTS: Mapping[str, Fault] = {
     "step-4": partial(crash, change_rad=4e-6),
     "step-12": partial(crash, change_rad=12e-6),
     "step-30": partial(crash, change_rad=30e-6),
+    "play-x": partial(play, axis=0, ball=6),
+    "play-z": partial(play, axis=2, ball=6),
+    "side-x": partial(play_by_side, axis=0),
+    "side-y": partial(play_by_side, axis=1),
+    "sag-20": partial(sag, ends_mm=0.02),
 }
 
 
@@ -109,7 +147,8 @@ class Case:
 
 @dataclass(frozen=True)
 class Found:
-    """True and predicted errors of one machine in µm, the gates that refuse it, and the likeliest error of a step."""
+    """True and predicted errors of one machine in µm, the gates that refuse it, and the likeliest error of a step and
+    pattern of shifts."""
 
     before_um: float
     after_um: float
@@ -117,6 +156,7 @@ class Found:
     refused: tuple[str, ...]
     false_alarm: float
     error: str
+    pattern: str
     hidden_um: float
 
 
@@ -126,8 +166,9 @@ def one_machine(case: Case, number: int) -> Found:
     machine, bar = foreign_machine(rng), tilted_bar(rng)
     measured = FAULTS[case.fault](machine, bar, case.places, int(rng.integers(2**31)))
     estimate = identify_by_evidence(family_of, measured.seen, bar.artefact)
-    step = estimate.step
+    step, pattern = estimate.step, estimate.pattern
     assert step is not None
+    assert pattern is not None
     return Found(
         before_um=true_error_um(measured.machine),
         after_um=true_error_um(measured.machine, estimate),
@@ -135,6 +176,7 @@ def one_machine(case: Case, number: int) -> Found:
         refused=names_of_failed(estimate_gates(estimate, GateSettings())),
         false_alarm=step.false_alarm,
         error=step.suspects[0].jump.error,
+        pattern=pattern.suspects[0].cause,
         hidden_um=0.0 if step.hidden is None else step.hidden.vce_um,
     )
 
@@ -160,6 +202,7 @@ def summary(case: Case, found: Sequence[Found]) -> dict[str, object]:
         },
         "refused_percent": by_gate,
         "b0z_named_percent": _percent([one.error == "B0Z" for one in found]),
+        "pattern": max({one.pattern for one in found}, key=lambda name: sum(one.pattern == name for one in found)),
         "hidden_step_um": round(float(np.mean([one.hidden_um for one in found])), 2),
     }
 

@@ -109,9 +109,14 @@ class Artefact(Immutable):
     @property
     def droop_mm(self) -> Array:
         """Distance (N,) in mm by which each ball hangs below the middle if the bar is horizontal."""
+        return np.asarray(self.sag_mm * self.droop_shape)
+
+    @property
+    def droop_shape(self) -> Array:
+        """Distance (N,) by which each ball of a horizontal bar hangs below the middle, relative to that of its ends."""
         # the bar hangs as two cantilevers clamped at the mount, so the distance from the middle counts on either side
         along = np.abs(self.balls[:, 0]) / max(self.half_length_mm, 1e-9)
-        return np.asarray(self.sag_mm * _droop(along))
+        return np.asarray(_droop(along))
 
     def at(self, temperature_c: float, elevation_rad: float) -> Array:
         """Return the ball centres (N, 3) in mm in the artefact frame at a given temperature and elevation of the mount.

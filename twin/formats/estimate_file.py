@@ -21,7 +21,7 @@ from twin.errors import FormatError, TwinError
 from twin.formats.json_reading import read_json
 from twin.formats.prior_section import CarriedOverSection, carried_over_document, read_moments, read_unknowns
 from twin.formats.toml_reading import StrictModel
-from twin.identification import BallCheck, CarriedOverPrior, DriftFactor, Estimate, Scales, StepInRun
+from twin.identification import BallCheck, CarriedOverPrior, DriftFactor, Estimate, PatternTest, Scales, StepInRun
 from twin.identification.unknowns import Unknowns
 from twin.machine.error_model import ErrorModel
 from twin.machine.kinematic_chain import parse_chain
@@ -143,6 +143,23 @@ class StepSection(StrictModel):
     hidden: HiddenStepSection | None
 
 
+class ShiftPatternSection(StrictModel):
+    """Pattern of shifts over all positions in an estimate file: what may be shifted and where, in words, the size of
+    the shift and the probability of this cause if there is a pattern."""
+
+    text: str
+    size_um: float
+    probability: float = Field(ge=0.0, le=1.0)
+
+
+class PatternSection(StrictModel):
+    """Result of the test for a pattern of shifts in an estimate file. `false_alarm` is the largest probability of such
+    measurements if there is no pattern."""
+
+    false_alarm: float = Field(ge=0.0, le=1.0)
+    suspects: tuple[ShiftPatternSection, ...]
+
+
 class VolumetricSection(StrictModel):
     """Volumetric errors over the workspace in µm for the tool of the table, after removal of the best-fitting rigid
     motion.
@@ -180,6 +197,7 @@ class EstimateFile(StrictModel):
     rejected: tuple[RejectedBallSection, ...]
     certificate: tuple[CertificateSection, ...]
     step_in_run: StepSection | None = None
+    shift_pattern: PatternSection | None = None
     artefact_calibration: dict[str, Any] | None
     volumetric: VolumetricSection | None
     carried_over: CarriedOverSection
@@ -262,6 +280,7 @@ def format_estimate(
         "rejected": [{"position": k, "ball": ball, "tool": tool} for k, ball, tool in estimate.rejected],
         "certificate": certificate_document(estimate.certificate_check),
         "step_in_run": step_document(estimate.step),
+        "shift_pattern": pattern_document(estimate.pattern),
         "artefact_calibration": calibration_document(estimate.artefact_calibration),
         "volumetric": None if volumetric is None else volumetric.model_dump(),
         "carried_over": carried_over_document(
@@ -305,6 +324,15 @@ def step_document(step: StepInRun | None) -> dict[str, Any] | None:
         ],
         "hidden": None if step.hidden is None else asdict(step.hidden),
     }
+
+
+def pattern_document(pattern: PatternTest | None) -> dict[str, Any] | None:
+    """Return the result of the test for a pattern of shifts as a JSON object, or None if the measurements were not
+    tested."""
+    if pattern is None:
+        return None
+    suspects = [{"text": one.text, "size_um": one.size_um, "probability": one.probability} for one in pattern.suspects]
+    return {"false_alarm": pattern.false_alarm, "suspects": suspects}
 
 
 def calibration_document(calibration: ArtefactCalibration | None) -> dict[str, Any] | None:

@@ -1,6 +1,7 @@
 """Identification of the error model that is used for compensation, from measured ball centres."""
 
 from twin.identification.checks.certificate_check import BallCheck
+from twin.identification.checks.shift_pattern import PatternTest
 from twin.identification.checks.step_in_run import StepInRun
 from twin.identification.estimate import Estimate, Misfit
 from twin.identification.evidence import OrderEvidence
@@ -30,6 +31,7 @@ __all__ = [
     "NullDirection",
     "Options",
     "OrderEvidence",
+    "PatternTest",
     "Scales",
     "StepInRun",
     "expected_rms",

@@ -12,6 +12,7 @@ from twin.arrays import Array
 from twin.artefact.artefact_calibration import ArtefactCalibration
 from twin.identification.alternatives import Alternative
 from twin.identification.checks.certificate_check import BallCheck, check_certificate
+from twin.identification.checks.shift_pattern import PatternTest
 from twin.identification.checks.step_in_run import StepInRun
 from twin.identification.evidence import OrderEvidence, scales_at_bounds
 from twin.identification.misfit import MisfitModes
@@ -65,7 +66,8 @@ class Estimate:
     estimated. `drift_factor` is the factor on the process noise between nights that was learned until this estimate.
     `free_balls` contains the balls whose certified centres contradict the measurements; the estimate does not use these
     centres. `step` is the result of the test for a sudden change of the machine during the measurement; it is None if
-    the measurements were used unchecked.
+    the measurements were used unchecked. `pattern` is the result of the test for shifts that follow a pattern over all
+    positions; None likewise.
     """
 
     model: ErrorModel
@@ -89,6 +91,7 @@ class Estimate:
     drift_factor: DriftFactor = field(default_factory=DriftFactor)
     free_balls: tuple[int, ...] = ()
     step: StepInRun | None = None
+    pattern: PatternTest | None = None
 
     def carried_over(self, process_noise: ArrayLike | None = None, nights: float = 1.0) -> CarriedOverPrior:
         """Return this estimate as the prior of an estimate made `nights` nights later.

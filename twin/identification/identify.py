@@ -14,6 +14,7 @@ from twin.artefact.observations import Observations
 from twin.errors import DataError, PositionError, SingularSet
 from twin.identification.alternatives import Alternative
 from twin.identification.checks.outliers import Rows, WhitenedResiduals, contradicting_rows, studentised_residuals
+from twin.identification.checks.shift_pattern import PatternTest, shift_patterns
 from twin.identification.checks.slipped_position import Slip, slip_in
 from twin.identification.checks.step_in_run import StepInRun, evidence_of_step, step_in_run
 from twin.identification.checks.wrong_balls import WrongBallSearch, is_isolated, with_free_balls
@@ -140,7 +141,8 @@ def _without_outliers(whole: IdentificationProblem, options: Options) -> _RowSel
     Balls that are wrong in several positions are first tested against their certificate: if it is wrong, their centres
     are left free and their rows stay. In the end, a ball that was freed because of an outlier is bound again.
 
-    If a sudden change of the machine explains more than wrong balls or a slip, nothing more is rejected.
+    If a sudden change of the machine or a pattern of shifts explains more than wrong balls or a slip, nothing more is
+    rejected.
     """
     screening = _screening(options)
     accepted = np.ones(whole.observations.size, dtype=bool)
@@ -152,7 +154,7 @@ def _without_outliers(whole: IdentificationProblem, options: Options) -> _RowSel
         if not is_isolated(problem.observations.ball[worst]) and search.found_in(problem, solution):
             continue
         slip = slip_in(worst, residuals, options.false_alarm) if worst.size and _is_plausible(solution) else None
-        if worst.size == 0 or _step_explains_more(whole, accepted, solution, residuals, worst, slip):
+        if worst.size == 0 or _more_is_explained(whole, accepted, solution, residuals, worst, slip):
             _check_plausible(solution)
             if search.bind_again(problem, solution):
                 continue
@@ -168,7 +170,7 @@ def _without_outliers(whole: IdentificationProblem, options: Options) -> _RowSel
         _check_set(problem.observations)
 
 
-def _step_explains_more(
+def _more_is_explained(
     whole: IdentificationProblem,
     accepted: Mask,
     solution: Solution,
@@ -176,14 +178,16 @@ def _step_explains_more(
     worst: Rows,
     slip: Slip | None,
 ) -> bool:
-    """Return True if a step of the machine in the run explains more than the rejection of the rows `worst` and more
-    than the slip of a position."""
+    """Return True if a step of the machine in the run, or a pattern of shifts, explains more than the rejection of the
+    rows `worst` and more than the slip of a position."""
     if not _is_plausible(solution):
         return False
     # half a decrease of χ² is a logarithm of a likelihood ratio
     rejected = float(residuals.square[worst].sum()) / residuals.scale
     explained = 0.5 * max(rejected, 0.0 if slip is None else slip.gain)
-    return evidence_of_step(solution, residuals, whole.layout.order[accepted]) > explained
+    problem, measured = solution.equations.problem, whole.layout.order[accepted]
+    pattern = shift_patterns(problem, residuals, measured)
+    return max(evidence_of_step(problem, residuals, measured), pattern.log_ratio) > explained
 
 
 def _unresolved_rms_mm(whole: IdentificationProblem, solution: Solution) -> float:
@@ -237,7 +241,7 @@ def _check_rejected_share(accepted: Mask) -> None:
 
 def _estimate(whole: IdentificationProblem, selection: _RowSelection, options: Options) -> Estimate:
     likeliest = selection.solution or solve(selection.problem, options, options.formulation)
-    step = _step_in_run(whole, selection, likeliest, options)
+    findings = _findings(whole, selection, likeliest, options)
     solution = average_over_scales(likeliest)
     block, unknowns = whole.blocks.parameters, whole.unknowns
     state = _state(whole, options)
@@ -267,7 +271,8 @@ def _estimate(whole: IdentificationProblem, selection: _RowSelection, options: O
         drift=_drift(whole, solution),
         drift_factor=DriftFactor() if options.carried_over is None else options.carried_over.drift_factor,
         free_balls=() if options.weights == "unit" else selection.free,
-        step=step,
+        step=findings.step,
+        pattern=findings.pattern,
     )
 
 
@@ -276,18 +281,30 @@ def _screening(options: Options) -> Options:
     return replace(options, formulation="centres", weights="full", use_prior=True, cut_off=None)
 
 
-def _step_in_run(
+@dataclass(frozen=True)
+class _Findings:
+    """Results of the tests of the whole set; None if the rows are used unchecked."""
+
+    step: StepInRun | None = None
+    pattern: PatternTest | None = None
+
+
+def _findings(
     whole: IdentificationProblem, selection: _RowSelection, solution: Solution, options: Options
-) -> StepInRun | None:
-    """Return the result of the test for a sudden change of the machine; None if the rows are used unchecked."""
+) -> _Findings:
+    """Test the set for a sudden change of the machine and for a pattern of shifts."""
     if options.outliers == "none":
-        return None
+        return _Findings()
     screening = _screening(options)
     if screening != options:
         solution = solve(selection.problem, screening, screening.formulation)
-    seen = whole.observations
+    seen, measured = whole.observations, whole.layout.order[selection.accepted]
+    residuals = studentised_residuals(solution)
     tool_offset = seen.tool_offsets[np.bincount(seen.tool).argmax()]
-    return step_in_run(solution, whole.layout.order[selection.accepted], tool_offset)
+    return _Findings(
+        step_in_run(solution, residuals, measured, tool_offset),
+        shift_patterns(solution.equations.problem, residuals, measured),
+    )
 
 
 def _state(whole: IdentificationProblem, options: Options) -> Array | None:

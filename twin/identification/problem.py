@@ -67,7 +67,8 @@ class IdentificationProblem:
     ball centres) are sorted by artefact position.
 
     `local` (n, 3) in mm contains the nominal artefact points at the rows' temperature. `sag` (n, 3) in mm is their
-    displacement by gravity in the workpiece frame, or None for a stiff artefact. `design` (K,
+    displacement by gravity in the workpiece frame, or None for a stiff artefact. `bending` (n, 3) is the displacement
+    by gravity for a sag of 1, or None for an artefact that is not a single bar. `design` (K,
     width, 3, P) is the derivative of left minus right side with respect to z, at `poses`, laid out by position. An
     empty slot repeats another row of its position.
     """
@@ -80,6 +81,7 @@ class IdentificationProblem:
     layout: RowLayout
     local: Array
     sag: Array | None
+    bending: Array | None
     arms: PoseArms
     poses: Poses
     design: Array
@@ -158,6 +160,7 @@ class IdentificationProblem:
             layout=layout,
             local=local,
             sag=None if self.sag is None else self.sag[accepted],
+            bending=None if self.bending is None else self.bending[accepted],
             arms=PoseArms.of(layout, local, self.arms.lines and self.arms.lines.select(alive)),
             nuisance=nuisance,
             poses=poses,
@@ -180,7 +183,9 @@ def build_problem(
     lines = StraightLines.of(artefact, np.split(seen.ball, np.cumsum(layout.counts)[:-1]))
     nominal, points = _mount_rotations(seen, layout), tool_points(seen)
     poses = rigid_poses(layout, local, points, lines, nominal)
-    sag = _sag(artefact, seen, layout, poses) if artefact.sag_mm else None
+    is_bar = artefact.body.beam is not None and not artefact.members
+    bending = _bending(artefact, seen, layout, poses) if is_bar or artefact.sag_mm else None
+    sag = artefact.sag_mm * bending if bending is not None and artefact.sag_mm else None
     if sag is not None:
         poses = rigid_poses(layout, local, points - sag, lines, nominal)
     unknowns = unknowns_of(family, artefact, seen, options)
@@ -196,6 +201,7 @@ def build_problem(
         layout=layout,
         local=local,
         sag=sag,
+        bending=bending,
         arms=PoseArms.of(layout, local, lines),
         poses=poses,
         design=design.reshape(layout.positions, layout.width, 3, -1),
@@ -246,14 +252,14 @@ def _mount_rotations(seen: Observations, layout: RowLayout) -> Array | None:
     return np.stack([mount_pose(np.zeros(3), MountGeometry(), *pair).rotation for pair in angles])
 
 
-def _sag(artefact: Artefact, seen: Observations, layout: RowLayout, poses: Poses) -> Array:
-    """Return the displacement (n, 3) in mm by gravity: across the bar, in the vertical plane that contains it.
+def _bending(artefact: Artefact, seen: Observations, layout: RowLayout, poses: Poses) -> Array:
+    """Return the displacement (n, 3) by gravity for a sag of 1: across the bar, in the vertical plane that contains it.
 
     It does not turn with the artefact if the bar is clamped with a roll.
     """
     along = poses.rotation[:, :, 0]
     downwards = -np.array([0.0, 0.0, 1.0]) + along * along[:, 2:]
-    return np.asarray(artefact.droop_mm[seen.ball][:, None] * downwards[layout.index])
+    return np.asarray(artefact.droop_shape[seen.ball][:, None] * downwards[layout.index])
 
 
 def _rows_by_tool(tools: np.ndarray[Any, Any]) -> list[tuple[int, slice | np.ndarray[Any, Any]]]:

@@ -28,7 +28,7 @@ import numpy as np
 from twin.arrays import Array
 from twin.errors import DataError
 from twin.identification.centres import CentreEquations
-from twin.identification.checks.outliers import Rows, WhitenedResiduals, studentised_residuals
+from twin.identification.checks.outliers import Rows, WhitenedResiduals
 from twin.identification.hidden_step import HiddenStep, StepVisibility
 from twin.identification.jump import ERRORS, SuspectedJump, coefficients_of, jump_evidence, suspected_jump
 from twin.identification.poses import weighted
@@ -145,12 +145,13 @@ class StepHypotheses:
         return int(seen.position[row]), int(seen.ball[row])
 
 
-def step_in_run(solution: Solution, measured: Rows, tool_offset: Array) -> StepInRun:
+def step_in_run(solution: Solution, found: WhitenedResiduals, measured: Rows, tool_offset: Array) -> StepInRun:
     """Test for a sudden change of the machine in a run.
 
-    `measured` (n,) contains the place in the order of measuring of each of the n rows, which are sorted by position.
-    Positions follow each other as their first rows do. `tool_offset` (3,) in mm is that of the tool for which the
-    volumetric error is stated. Raise DataError if the solution is not in the formulation `centres`.
+    `found` are the residuals of the solution. `measured` (n,) contains the place in the order of measuring of each of
+    the n rows, which are sorted by position. Positions follow each other as their first rows do. `tool_offset` (3,) in
+    mm is that of the tool for which the volumetric error is stated. Raise DataError if the solution is not in the
+    formulation `centres`.
     """
     equations, problem = solution.equations, solution.equations.problem
     if not isinstance(equations, CentreEquations):
@@ -160,13 +161,11 @@ def step_in_run(solution: Solution, measured: Rows, tool_offset: Array) -> StepI
     hidden = visibility.largest_in_order(order)
     # positions of the problem are those with accepted rows
     used = np.unique(problem.observations.position).tolist()
-    hypotheses = _hypotheses(problem, studentised_residuals(solution), rows)
-    return hypotheses.result(None if hidden is None else hidden.numbered(used))
+    return _hypotheses(problem, found, rows).result(None if hidden is None else hidden.numbered(used))
 
 
-def evidence_of_step(solution: Solution, found: WhitenedResiduals, measured: Rows) -> float:
-    """Return `log_ratio` of `step_in_run` for the residuals `found` of the solution."""
-    problem = solution.equations.problem
+def evidence_of_step(problem: IdentificationProblem, found: WhitenedResiduals, measured: Rows) -> float:
+    """Return `log_ratio` of `step_in_run` for the residuals `found` of a solution of `problem`."""
     rows, _ = _in_order_of_measuring(problem.layout.counts, measured)
     return _hypotheses(problem, found, rows).result(None).log_ratio
 
