@@ -65,7 +65,7 @@ class PatternTest:
     @property
     def false_alarm(self) -> float:
         """Upper limit of the probability that balls without a pattern give this ratio or a larger one."""
-        return min(1.0, math.exp(-self.log_ratio))
+        return math.exp(-max(self.log_ratio, 0.0))
 
 
 def shift_patterns(problem: IdentificationProblem, found: WhitenedResiduals, measured: Rows) -> PatternTest:

@@ -86,7 +86,7 @@ class StepInRun:
     @property
     def false_alarm(self) -> float:
         """Upper limit of the probability that a machine without a step gives this ratio or a larger one."""
-        return min(1.0, math.exp(-self.log_ratio))
+        return math.exp(-max(self.log_ratio, 0.0))
 
     def numbered(self, numbers: Sequence[int]) -> StepInRun:
         """Return the same result with the number (K,) of each position in place of its index."""
@@ -95,7 +95,7 @@ class StepInRun:
 
 
 @dataclass(frozen=True, eq=False)
-class StepHypotheses:
+class _StepHypotheses:
     """Score and information of a step of each of E errors at each of n instants; instant i lies before row i in the
     order of measuring.
 
@@ -170,7 +170,7 @@ def evidence_of_step(problem: IdentificationProblem, found: WhitenedResiduals, m
     return _hypotheses(problem, found, rows).result(None).log_ratio
 
 
-def _hypotheses(problem: IdentificationProblem, found: WhitenedResiduals, rows: Rows) -> StepHypotheses:
+def _hypotheses(problem: IdentificationProblem, found: WhitenedResiduals, rows: Rows) -> _StepHypotheses:
     columns = {error: coefficients_of(problem.unknowns, error) for error in ERRORS}
     columns = {error: indices for error, indices in columns.items() if indices.size}
     chosen, present = _padded(list(columns.values()))
@@ -183,7 +183,7 @@ def _hypotheses(problem: IdentificationProblem, found: WhitenedResiduals, rows: 
     information = gram - _taken_by_unknowns(design, root) / found.variance
     # divided by the common scale of the residuals, as in the test for outliers
     unit = found.variance * found.scale
-    return StepHypotheses(problem, tuple(columns), tuple(columns.values()), score / unit, information / unit, rows)
+    return _StepHypotheses(problem, tuple(columns), tuple(columns.values()), score / unit, information / unit, rows)
 
 
 def _in_order_of_measuring(counts: Rows, measured: Rows) -> tuple[Rows, list[int]]:
