@@ -14,6 +14,7 @@ from campaigns.foreign.artefact import S3, ForeignBar, straight_bar, tilted_bar
 from campaigns.foreign.faults import Case, Fault, Measurement, nothing, play, play_by_side, sag
 from campaigns.foreign.machine import foreign_machine
 from campaigns.foreign.score import family_of
+from twin.formats.estimate_file import parse_estimate
 from twin.identification import PatternTest, identify
 
 FOUND = 0.01
@@ -78,4 +79,6 @@ def test_the_command_refuses_the_table_and_names_the_axis(tmp_path: Path) -> Non
     assert said["gates"]["step in run"] is True
     assert "gate pattern: " in said["reason"]
     assert said["shift_pattern"]["suspects"][0]["text"].startswith("Z shifted in each position by ")
-    assert "shift_pattern" in (folder.out / "estimate.json").read_text()
+    stored = parse_estimate((folder.out / "estimate.json").read_text(), "estimate.json").document.shift_pattern
+    assert stored is not None
+    assert stored.model_dump(mode="json") == said["shift_pattern"]

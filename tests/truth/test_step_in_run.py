@@ -16,6 +16,7 @@ from campaigns.foreign.machine import foreign_machine
 from campaigns.foreign.score import family_of
 from campaigns.foreign.trials import Places
 from twin.artefact.observations import Observations
+from twin.formats.estimate_file import parse_estimate
 from twin.identification import Estimate, StepInRun, identify
 
 FOUND = 0.01
@@ -125,4 +126,7 @@ def test_the_command_refuses_the_table_and_names_the_positions_of_the_file(tmp_p
     assert "gate step in run" in done.stdout
     assert "the machine changed while it was measured: B0Z changed by +" in done.stdout
     assert "between position 110, ball" in done.stdout
-    assert "false_alarm" in (folder.out / "estimate.json").read_text()
+    stored = parse_estimate((folder.out / "estimate.json").read_text(), "estimate.json").document.step_in_run
+    assert stored is not None
+    assert stored.suspects[0].error == "B0Z"
+    assert stored.suspects[0].last_before[0] <= 111 < stored.suspects[0].first_after[0] + 1
