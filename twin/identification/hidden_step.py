@@ -34,7 +34,7 @@ from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.identification.centres import CentreEquations
-from twin.identification.jump import ERRORS, coefficients_of
+from twin.identification.jump import ERRORS, ErrorCoefficients
 from twin.identification.normal import Posterior, PriorPrecision, Scales
 from twin.identification.options import Options
 from twin.identification.problem import build_problem
@@ -142,7 +142,8 @@ class StepVisibility:
         found = list[HiddenStep]()
         for earlier, later in reversed(list(pairwise(order))):
             seen, shift = self._with(later, seen, shift)
-            found += [replace(one, between=(earlier, later)) for one in self._steps(seen, shift)]
+            hidden = self._largest(seen, shift)
+            found += [] if hidden is None else [replace(hidden, between=(earlier, later))]
         return max(found, key=lambda one: one.vce_um, default=None)
 
     def largest(self, after: Iterable[int]) -> HiddenStep | None:
@@ -151,7 +152,7 @@ class StepVisibility:
         seen, shift = self._nothing_seen()
         for position in after:
             seen, shift = self._with(position, seen, shift)
-        return max(self._steps(seen, shift), key=lambda one: one.vce_um, default=None)
+        return self._largest(seen, shift)
 
     def _nothing_seen(self) -> tuple[Array, Array]:
         nothing = np.zeros((self.design.shape[2], len(self.form)))
@@ -162,35 +163,40 @@ class StepVisibility:
         design = self.design[position][:, : len(self.form)]
         return seen + self.design[position].T @ design, shift + self.carried[position] @ design
 
-    def _steps(self, seen: Array, shift: Array) -> list[HiddenStep]:
-        size = len(self.form)
+    @cached_property
+    def _coefficients(self) -> ErrorCoefficients:
+        return ErrorCoefficients.of(self.unknowns)
+
+    def _largest(self, seen: Array, shift: Array) -> HiddenStep | None:
+        size, columns, present = len(self.form), self._coefficients.columns, self._coefficients.present
         information = seen[:size] - seen.T @ shift
         moved = shift[:size]
         rest = np.eye(size) - moved
         # diagonals of the quadratic forms of the errors that remain on the machine before and after the step
         before, later = (np.einsum("ij,ij->j", one, self.form @ one) for one in (moved, rest))
-        found = [self._of(error, information, before, later) for error in ERRORS]
-        return [one for one in found if one is not None]
-
-    def _of(self, error: str, information: Array, before: Array, later: Array) -> HiddenStep | None:
-        columns = coefficients_of(self.unknowns, error)
-        inner = information[np.ix_(columns, columns)]
-        seen = float(np.trace(inner))
-        if not columns.size or seen < _UNSEEN:
-            return None
+        left = np.minimum(*((one[columns] * present).sum(axis=1) for one in (before, later)))
+        inner = information[columns[:, :, None], columns[:, None, :]] * present[:, :, None] * present[:, None, :]
+        trace = np.einsum("eii->e", inner)
         hypotheses = len(ERRORS) * max(len(self.design) - 1, 1)
-        penalty = float(np.linalg.slogdet(np.eye(len(columns)) + inner)[1])
-        limit = math.sqrt(2.0 * math.log(hypotheses / FALSE_ALARM) + max(penalty, 0.0)) + _POWER
-        square = limit**2 / seen  # mean square of the coefficients' steps, times their number
-        left = min(float(before[columns].sum()), float(later[columns].sum()))
-        change, unit = self._size(error, columns, math.sqrt(square))
-        return HiddenStep(error, change, unit, UM_PER_MM * math.sqrt(max(square * left, 0.0)))
+        penalty = np.maximum(np.linalg.slogdet(np.eye(columns.shape[1]) + inner)[1], 0.0)
+        limit = np.sqrt(2.0 * math.log(hypotheses / FALSE_ALARM) + penalty) + _POWER
+        found = trace > _UNSEEN
+        if not found.any():
+            return None
+        # mean square of the coefficients' steps, times their number
+        square = np.where(found, limit**2, 0.0) / np.where(found, trace, 1.0)
+        squares = square * np.maximum(left, 0.0)
+        largest = int(squares.argmax())
+        change, unit = self._size(largest, math.sqrt(float(square[largest])))
+        vce_um = UM_PER_MM * math.sqrt(float(squares[largest]))
+        return HiddenStep(self._coefficients.errors[largest], change, unit, vce_um)
 
-    def _size(self, error: str, columns: np.ndarray[tuple[int], np.dtype[np.int64]], size: float) -> tuple[float, str]:
+    def _size(self, number: int, size: float) -> tuple[float, str]:
+        columns = self._coefficients.of_error(number)
         parameters = [self.unknowns.model.parameters[i] for i in columns]
         steps = size * self.unknowns.scale[columns]
         unit, factor = MICRO_UNITS[parameters[0].unit]
-        if error in SQUARENESS:
+        if self._coefficients.errors[number] in SQUARENESS:
             return factor * float(steps[0]), unit
         # mean square of a Legendre polynomial of order n
         shares = np.array([1.0 / (2.0 * one.order + 1.0) for one in parameters])

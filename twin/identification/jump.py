@@ -68,6 +68,29 @@ def coefficients_of(unknowns: Unknowns, error: str) -> Columns:
     return np.array([i for i, one in enumerate(model.parameters) if one.error == error and scale[i] > 0.0], int)
 
 
+@dataclass(frozen=True, eq=False)
+class ErrorCoefficients:
+    """Coefficients of the E errors that can jump, as indices `columns` (E, m) of the unknowns. An error with fewer than
+    m coefficients repeats its last one, and `present` (E, m) is 0 there and 1 elsewhere."""
+
+    errors: tuple[str, ...]
+    columns: Columns
+    present: Array
+
+    @classmethod
+    def of(cls, unknowns: Unknowns) -> ErrorCoefficients:
+        found = {error: coefficients_of(unknowns, error) for error in ERRORS}
+        found = {error: columns for error, columns in found.items() if columns.size}
+        size = max(len(columns) for columns in found.values())
+        padded = [np.pad(columns, (0, size - len(columns)), mode="edge") for columns in found.values()]
+        present = [np.arange(size) < len(columns) for columns in found.values()]
+        return cls(tuple(found), np.stack(padded), np.stack(present).astype(np.float64))
+
+    def of_error(self, number: int) -> Columns:
+        """Return the indices (k,) of the coefficients of the error with this number."""
+        return np.asarray(self.columns[number][self.present[number] > 0.0])
+
+
 def jump_evidence(score: Array, information: Array, jump: float = 1.0) -> tuple[Array, Array]:
     """Return the natural logarithm (...) of the likelihood ratio of a jump against no jump, and the expected change
     (..., m) of the m coefficients in units of their standard deviations in the family.

@@ -77,7 +77,7 @@ def shift_patterns(problem: IdentificationProblem, found: WhitenedResiduals, mea
     white = np.einsum("nij,njh->nih", found.whitening, fields * sizes_mm)
     starts = np.cumsum(found.counts) - found.counts
     taken = np.add.reduceat(np.einsum("nip,nih->nph", found.pose_basis, white), starts, axis=0)
-    through = np.einsum("nih,nip->hp", white, found.unknowns_root)
+    through = white.reshape(-1, len(patterns)).T @ found.unknowns_root.reshape(3 * len(white), -1)
     gram = np.einsum("nih,nih->h", white, white) - np.einsum("kph,kph->h", taken, taken)
     unit = found.variance * found.scale
     information = (gram - np.einsum("hp,hp->h", through, through) / found.variance) / unit

@@ -30,7 +30,7 @@ from twin.errors import DataError
 from twin.identification.centres import CentreEquations
 from twin.identification.checks.outliers import Rows, WhitenedResiduals
 from twin.identification.hidden_step import HiddenStep, StepVisibility
-from twin.identification.jump import ERRORS, SuspectedJump, coefficients_of, jump_evidence, suspected_jump
+from twin.identification.jump import ErrorCoefficients, SuspectedJump, jump_evidence, suspected_jump
 from twin.identification.poses import weighted
 from twin.identification.problem import IdentificationProblem
 from twin.identification.solution import Solution
@@ -100,13 +100,12 @@ class _StepHypotheses:
     order of measuring.
 
     `score` (n, E, m) and `information` (n, E, m, m) refer to the coefficients of each error; an error with fewer
-    coefficients than m has zeros in its last places. `columns` contains the indices of the coefficients among the
-    unknowns, and `rows` (n,) the sorted row of each place in the order of measuring.
+    coefficients than m has zeros in its last places. `rows` (n,) contains the sorted row of each place in the order of
+    measuring.
     """
 
     problem: IdentificationProblem
-    errors: tuple[str, ...]
-    columns: tuple[Rows, ...]
+    coefficients: ErrorCoefficients
     score: Array
     information: Array
     rows: Rows
@@ -127,14 +126,14 @@ class _StepHypotheses:
 
     def _suspect(self, number: int, odds: Array) -> SuspectedStep:
         """Return the suspected step of an error with the probabilities `odds` (n - 1,) of the instants 1 to n - 1."""
-        size, instant = len(self.columns[number]), 1 + int(odds.argmax())
+        size, instant = len(self.coefficients.of_error(number)), 1 + int(odds.argmax())
         score = self.score[instant, number, :size]
         information = self.information[instant, number, :size, :size]
         likely = np.cumsum(odds) / odds.sum()
         first = 1 + int(np.searchsorted(likely, 0.5 * (1.0 - _SHARE)))
         last = 1 + int(np.searchsorted(likely, 0.5 * (1.0 + _SHARE)))
         return SuspectedStep(
-            suspected_jump(self.problem.unknowns, self.errors[number], score, information, _JUMP),
+            suspected_jump(self.problem.unknowns, self.coefficients.errors[number], score, information, _JUMP),
             float(odds.sum()),
             self._place(min(first, instant) - 1),
             self._place(max(last, instant)),
@@ -171,9 +170,8 @@ def evidence_of_step(problem: IdentificationProblem, found: WhitenedResiduals, m
 
 
 def _hypotheses(problem: IdentificationProblem, found: WhitenedResiduals, rows: Rows) -> _StepHypotheses:
-    columns = {error: coefficients_of(problem.unknowns, error) for error in ERRORS}
-    columns = {error: indices for error, indices in columns.items() if indices.size}
-    chosen, present = _padded(list(columns.values()))
+    coefficients = ErrorCoefficients.of(problem.unknowns)
+    chosen, present = coefficients.columns, coefficients.present
     design = problem.layout.unpad(problem.design[..., chosen.reshape(-1)])[rows]
     design = weighted(found.whitening[rows], design).reshape(len(rows), 3, *chosen.shape) * present
     basis, root, residuals = found.pose_basis[rows], found.unknowns_root[rows], found.residuals[rows]
@@ -183,7 +181,7 @@ def _hypotheses(problem: IdentificationProblem, found: WhitenedResiduals, rows: 
     information = gram - _taken_by_unknowns(design, root) / found.variance
     # divided by the common scale of the residuals, as in the test for outliers
     unit = found.variance * found.scale
-    return _StepHypotheses(problem, tuple(columns), tuple(columns.values()), score / unit, information / unit, rows)
+    return _StepHypotheses(problem, coefficients, score / unit, information / unit, rows)
 
 
 def _in_order_of_measuring(counts: Rows, measured: Rows) -> tuple[Rows, list[int]]:
@@ -192,14 +190,6 @@ def _in_order_of_measuring(counts: Rows, measured: Rows) -> tuple[Rows, list[int
     parts = [start + np.argsort(measured[start:end]) for start, end in zip(ends - counts, ends, strict=True)]
     order = sorted(range(len(parts)), key=lambda position: int(measured[parts[position][0]]))
     return np.concatenate([parts[position] for position in order]), order
-
-
-def _padded(columns: list[Rows]) -> tuple[Rows, Array]:
-    """Return the indices (E, m) of the coefficients of all errors, and a mask (E, m) that is 0 for a surplus place."""
-    size = max(len(one) for one in columns)
-    chosen = np.stack([np.pad(one, (0, size - len(one)), mode="edge") for one in columns])
-    present = np.stack([np.arange(size) < len(one) for one in columns])
-    return chosen, present.astype(np.float64)
 
 
 def _suffix_sums(parts: Array) -> Array:
