@@ -65,7 +65,7 @@ def test_the_real_command_measures_one_ball_and_finds_a_late_latch(tmp_path: Pat
     assert "Trial of one ball" in page
     assert "mm beside its expected place" in page
     for words in (
-        "station 1, azimuth",
+        "station 2, azimuth",
         "found beside it",
         "delay of the latch",
         "none, as before",
