@@ -40,7 +40,7 @@ SETS: Mapping[str, Sequence[tuple[float, float]]] = {"S3": S3, "S1+S3": S1 + S3,
 
 @dataclass(frozen=True)
 class Measurement:
-    """What was measured, and the machine as it is after the measurement."""
+    """Ball centres that were measured, and the machine as it is after the measurement."""
 
     seen: Observations
     machine: ForeignMachine
@@ -127,7 +127,7 @@ FAULTS: Mapping[str, Fault] = {
 
 
 @dataclass(frozen=True)
-class Case:
+class FaultyRun:
     """Fault, set of positions, and order of the stations; `closing` repeats three positions at the first station."""
 
     fault: str
@@ -160,7 +160,7 @@ class Found:
     hidden_um: float
 
 
-def one_machine(case: Case, number: int) -> Found:
+def one_machine(case: FaultyRun, number: int) -> Found:
     """Return what is found on machine `number`."""
     rng = np.random.default_rng([number, _SEED])
     machine, bar = foreign_machine(rng), tilted_bar(rng)
@@ -181,7 +181,7 @@ def one_machine(case: Case, number: int) -> Found:
     )
 
 
-def summary(case: Case, found: Sequence[Found]) -> dict[str, object]:
+def summary(case: FaultyRun, found: Sequence[Found]) -> dict[str, object]:
     """Return the means over the machines of a case, and shares in per cent."""
     ratios = np.array([one.after_um / one.predicted_um for one in found])
     gates = sorted({name for one in found for name in one.refused})
@@ -221,7 +221,7 @@ def main() -> int:
     parser.add_argument("--closing", action="store_true", help="repeat three positions at the first station")
     given = parser.parse_args()
     for fault in given.case or FAULTS:
-        case = Case(fault, given.set, given.order, given.closing)
+        case = FaultyRun(fault, given.set, given.order, given.closing)
         with ProcessPoolExecutor() as workers:
             found = list(workers.map(partial(one_machine, case), range(given.machines), chunksize=4))
         print(json.dumps(summary(case, found)), flush=True)

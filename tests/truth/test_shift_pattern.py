@@ -11,14 +11,14 @@ import pytest
 from foreign_files import Folder, rows_of
 
 from campaigns.foreign.artefact import S3, ForeignBar, straight_bar, tilted_bar
-from campaigns.foreign.faults import Case, Fault, Measurement, nothing, play, play_by_side, sag
+from campaigns.foreign.faults import Fault, FaultyRun, Measurement, nothing, play, play_by_side, sag
 from campaigns.foreign.machine import foreign_machine
 from campaigns.foreign.score import family_of
 from twin.formats.estimate_file import parse_estimate
 from twin.identification import PatternTest, identify
 
 FOUND = 0.01
-PLACES = Case("").places
+PLACES = FaultyRun("").places
 
 
 def measurement(seed: int, fault: Fault, worse: float = 1.0) -> tuple[Measurement, ForeignBar]:

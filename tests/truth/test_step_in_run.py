@@ -11,7 +11,7 @@ import pytest
 from foreign_files import Folder, rows_of
 
 from campaigns.foreign.artefact import S3, ForeignBar, tilted_bar
-from campaigns.foreign.faults import Case, Measurement, crash, nothing
+from campaigns.foreign.faults import FaultyRun, Measurement, crash, nothing
 from campaigns.foreign.machine import foreign_machine
 from campaigns.foreign.score import family_of
 from campaigns.foreign.trials import Places
@@ -20,9 +20,9 @@ from twin.formats.estimate_file import parse_estimate
 from twin.identification import Estimate, StepInRun, identify
 
 FOUND = 0.01
-CLOSING = Case("", closing=True).places
-TRAVEL_ORDER = Case("").places
-OTHER_ORDER = Case("", order="2413").places
+CLOSING = FaultyRun("", closing=True).places
+TRAVEL_ORDER = FaultyRun("").places
+OTHER_ORDER = FaultyRun("", order="2413").places
 
 
 def measurement(seed: int, change_urad: float, places: Places, position: int = 11) -> tuple[Measurement, ForeignBar]:

@@ -74,7 +74,7 @@ class HiddenStep:
 
     @property
     def note(self) -> str:
-        """What the step could do unnoticed, in words."""
+        """Power of the test for the step, and the error that the step leaves unnoticed, in words."""
         where = "" if self.between is None else f" between positions {self.between[0]} and {self.between[1]}"
         found = "is found with a probability of 95 %; unnoticed, it would leave"
         return f"a change of {self.text}{where} {found} {self.vce_um:.1f} µm"
