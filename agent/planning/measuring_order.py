@@ -73,12 +73,14 @@ class OrderOptimiser:
             return (*(s for s in listed if s == standing_at), *(s for s in listed if s != standing_at))
         carries = {order: self._carries(order, standing_at, last_at) for order in permutations(listed)}
         fewest = min(carries.values())
+        orders = [order for order, count in carries.items() if count == fewest]
+        if len(orders) == 1:
+            return orders[0]
         hidden_um = cache(self.hidden_um)
         # the change may happen while the artefact is carried from any station to the next
         hidden = {
             order: max((hidden_um(frozenset(order[first:])) for first in range(1, len(order))), default=0.0)
-            for order, count in carries.items()
-            if count == fewest
+            for order in orders
         }
         smallest = min(hidden.values())
         return min((order for order, um in hidden.items() if um <= _AS_GOOD * smallest), key=self._distance_mm)

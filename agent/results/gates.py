@@ -188,14 +188,12 @@ def step_gate(step: StepInRun | None, limits: GateSettings) -> Gate:
 
     `step` is None if the measurements were not tested for a change.
     """
-    limit = limits.step_false_alarm
-    if step is None:
-        return Gate(STEP, True, 1.0, limit, "the measurements were not tested for a change of the machine")
-    if step.false_alarm >= limit:
-        text = "probability of such measurements, at most, on a machine that did not change while it was measured"
-        return Gate(STEP, True, step.false_alarm, limit, text if step.hidden is None else f"{text}; {step.hidden.note}")
-    suspects = "; or ".join(f"{one.text} ({100.0 * one.probability:.0f} %)" for one in step.suspects)
-    return Gate(STEP, False, step.false_alarm, limit, f"the machine changed while it was measured: {suspects}")
+    clear = "probability of such measurements, at most, on a machine that did not change while it was measured"
+    if step is not None and step.hidden is not None:
+        clear = f"{clear}; {step.hidden.note}"
+    untested = "the measurements were not tested for a change of the machine"
+    alarm = "the machine changed while it was measured: "
+    return _gate_of_test(STEP, step, limits.step_false_alarm, untested, clear, alarm)
 
 
 def pattern_gate(pattern: PatternTest | None, limits: GateSettings) -> Gate:
@@ -204,14 +202,22 @@ def pattern_gate(pattern: PatternTest | None, limits: GateSettings) -> Gate:
 
     `pattern` is None if the measurements were not tested for a pattern.
     """
-    limit = limits.pattern_false_alarm
-    if pattern is None:
-        return Gate(PATTERN, True, 1.0, limit, "the balls were not tested for a pattern of shifts")
-    if pattern.false_alarm >= limit:
-        text = "probability of such measurements, at most, if no shift follows a pattern over all positions"
-        return Gate(PATTERN, True, pattern.false_alarm, limit, text)
-    suspects = "; or ".join(f"{one.text} ({100.0 * one.probability:.0f} %)" for one in pattern.suspects)
-    return Gate(PATTERN, False, pattern.false_alarm, limit, suspects)
+    clear = "probability of such measurements, at most, if no shift follows a pattern over all positions"
+    untested = "the balls were not tested for a pattern of shifts"
+    return _gate_of_test(PATTERN, pattern, limits.pattern_false_alarm, untested, clear)
+
+
+def _gate_of_test(
+    name: str, test: StepInRun | PatternTest | None, limit: float, untested: str, clear: str, alarm: str = ""
+) -> Gate:
+    """Return the gate for the result of a test of the whole set, with the text for each of its outcomes. The likeliest
+    causes follow the text `alarm`."""
+    if test is None:
+        return Gate(name, True, 1.0, limit, untested)
+    if test.false_alarm >= limit:
+        return Gate(name, True, test.false_alarm, limit, clear)
+    suspects = "; or ".join(f"{one.text} ({100.0 * one.probability:.0f} %)" for one in test.suspects)
+    return Gate(name, False, test.false_alarm, limit, f"{alarm}{suspects}")
 
 
 def _contradiction(check: BallCheck) -> str:

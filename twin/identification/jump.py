@@ -108,6 +108,19 @@ def jump_evidence(score: Array, information: Array, jump: float = 1.0) -> tuple[
     return evidence, np.asarray(change)
 
 
+def log_mean_ratio(evidence: Array) -> float:
+    """Return the natural logarithm of the mean likelihood ratio of hypotheses that are equally likely beforehand.
+    `evidence` (...) contains the logarithms of their ratios."""
+    largest = float(evidence.max())
+    return largest + math.log(float(np.mean(np.exp(evidence - largest))))
+
+
+def largest_false_alarm(log_ratio: float) -> float:
+    """Return the largest probability with which `log_mean_ratio` reaches `log_ratio` if no hypothesis is true (Markov:
+    the mean ratio then has the expected value 1)."""
+    return math.exp(-max(log_ratio, 0.0))
+
+
 def suspected_jump(unknowns: Unknowns, error: str, score: Array, information: Array, jump: float) -> SuspectedJump:
     """Return the suspected jump of `error`. `score` (m,) and `information` (m, m) refer to the m coefficients that
     `coefficients_of` names; `jump` is that of `jump_evidence`."""

@@ -20,14 +20,13 @@ against none, and the mean over all patterns is tested as in module `twin.identi
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from twin.arrays import Array
 from twin.identification.checks.outliers import Rows, WhitenedResiduals
-from twin.identification.jump import jump_evidence
+from twin.identification.jump import jump_evidence, largest_false_alarm, log_mean_ratio
 from twin.identification.problem import IdentificationProblem
 from twin.machine.kinematic_chain import AXES
 from twin.units import UM_PER_MM
@@ -65,7 +64,7 @@ class PatternTest:
     @property
     def false_alarm(self) -> float:
         """Upper limit of the probability that balls without a pattern give this ratio or a larger one."""
-        return math.exp(-max(self.log_ratio, 0.0))
+        return largest_false_alarm(self.log_ratio)
 
 
 def shift_patterns(problem: IdentificationProblem, found: WhitenedResiduals, measured: Rows) -> PatternTest:
@@ -83,11 +82,9 @@ def shift_patterns(problem: IdentificationProblem, found: WhitenedResiduals, mea
     information = (gram - np.einsum("hp,hp->h", through, through) / found.variance) / unit
     score = -np.einsum("nih,ni->h", white, found.residuals) / unit
     evidence, size = jump_evidence(score[:, None], np.maximum(information, 0.0)[:, None, None])
-    largest = float(evidence.max())
-    odds = np.exp(evidence - largest)
-    log_ratio = largest + math.log(float(odds.mean()))
+    odds = np.exp(evidence - evidence.max())
     shifts_um = UM_PER_MM * sizes_mm * size[:, 0]
-    return PatternTest(log_ratio, _ranked(patterns, odds / odds.sum(), shifts_um))
+    return PatternTest(log_mean_ratio(evidence), _ranked(patterns, odds / odds.sum(), shifts_um))
 
 
 def _ranked(patterns: list[ShiftPattern], odds: Array, sizes_um: Array) -> tuple[ShiftPattern, ...]:

@@ -19,7 +19,6 @@ better than no change, the ratio is taken against it instead.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -30,7 +29,14 @@ from twin.errors import DataError
 from twin.identification.centres import CentreEquations
 from twin.identification.checks.outliers import Rows, WhitenedResiduals
 from twin.identification.hidden_step import HiddenStep, StepVisibility
-from twin.identification.jump import ErrorCoefficients, SuspectedJump, jump_evidence, suspected_jump
+from twin.identification.jump import (
+    ErrorCoefficients,
+    SuspectedJump,
+    jump_evidence,
+    largest_false_alarm,
+    log_mean_ratio,
+    suspected_jump,
+)
 from twin.identification.poses import weighted
 from twin.identification.problem import IdentificationProblem
 from twin.identification.solution import Solution
@@ -86,7 +92,7 @@ class StepInRun:
     @property
     def false_alarm(self) -> float:
         """Upper limit of the probability that a machine without a step gives this ratio or a larger one."""
-        return math.exp(-max(self.log_ratio, 0.0))
+        return largest_false_alarm(self.log_ratio)
 
     def numbered(self, numbers: Sequence[int]) -> StepInRun:
         """Return the same result with the number (K,) of each position in place of its index."""
@@ -116,7 +122,7 @@ class _StepHypotheses:
         within = evidence[1:]
         if not within.size:
             return StepInRun(0.0, (), hidden)
-        log_ratio = _log_mean(within) - max(0.0, _log_mean(evidence[0]))
+        log_ratio = log_mean_ratio(within) - max(0.0, log_mean_ratio(evidence[0]))
         odds = np.exp(within - within.max())
         odds /= odds.sum()
         by_error = odds.sum(axis=0)
@@ -222,8 +228,3 @@ def _taken_by_unknowns(design: Array, root: Array) -> Array:
         part = through.reshape(errors, size, -1)
         taken[row] = part @ part.transpose(0, 2, 1)
     return taken
-
-
-def _log_mean(evidence: Array) -> float:
-    largest = float(evidence.max())
-    return largest + math.log(float(np.mean(np.exp(evidence - largest))))
