@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from campaigns.foreign.machine import HIGH, LOW, TOOL, ForeignMachine
+from campaigns.foreign.machine import HIGH, LOW, TOOL, DrawnMachine
 from twin.artefact.artefact import Artefact
 from twin.artefact.certificate import with_uncertified
 from twin.artefact.observations import Observations
@@ -82,7 +82,7 @@ class Measured:
 
 
 def measure(
-    machine: ForeignMachine,
+    machine: DrawnMachine,
     bar: ForeignBar,
     orientations: Sequence[tuple[float, float]],
     rng: np.random.Generator,
@@ -109,7 +109,7 @@ class MeasuringConditions:
 
 
 def measure_at(
-    machine: ForeignMachine,
+    machine: DrawnMachine,
     bar: ForeignBar,
     places: Sequence[tuple[Sequence[float], Sequence[tuple[float, float]]]],
     rng: np.random.Generator,

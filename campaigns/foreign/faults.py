@@ -26,16 +26,15 @@ import numpy as np
 
 from agent.results.gates import estimate_gates, names_of_failed
 from agent.settings.schema import GateSettings
-from campaigns.foreign.artefact import S1, S2, S3, STATIONS_MM, ForeignBar, measure_at, tilted_bar
+from campaigns.foreign.artefact import S3, STATIONS_MM, ForeignBar, measure_at, tilted_bar
 from campaigns.foreign.machine import GRID, TOOL, ForeignMachine, foreign_machine
 from campaigns.foreign.score import family_of, true_error_um
-from campaigns.foreign.trials import Places, places_of
+from campaigns.foreign.trials import SETS, Places, places_of
 from twin.artefact.observations import Observations
 from twin.identification import identify_by_evidence
 from twin.identification.predicted import expected_vce, field_forms
 
 _SEED = 29
-SETS: Mapping[str, Sequence[tuple[float, float]]] = {"S3": S3, "S1+S3": S1 + S3, "S1+S2+S3": S1 + S2 + S3}
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,33 @@ class Motion(Protocol):
         ...
 
 
+class DrawnMachine(Protocol):
+    """Machine whose true error field is known, whichever generator drew it."""
+
+    @property
+    def ranges(self) -> tuple[tuple[float, float], ...]:
+        """Ends of the travel of each axis in mm."""
+        ...
+
+    @property
+    def tool_offset(self) -> np.ndarray:
+        """Vector (3,) in mm from the reference point of the ram to the tool centre point."""
+        ...
+
+    @property
+    def motion_kinds(self) -> tuple[str, str, str]:
+        """Kind of the error motions of each axis."""
+        ...
+
+    def deviation(self, axis_positions: np.ndarray, /) -> np.ndarray:
+        """Return the position of the tool point minus the nominal one, (n, 3) in mm, at axis positions (n, 3)."""
+        ...
+
+    def axis_positions_at(self, points: np.ndarray) -> np.ndarray:
+        """Return the axis positions (n, 3) at which the real tool point stands at workpiece points (n, 3)."""
+        ...
+
+
 @dataclass(frozen=True)
 class Waves:
     """Sums of sines: amplitudes, wave numbers and phases (6, k), and a slope (6,) over the travel. The errors are as

@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.family import AMPLITUDES
 from campaigns.foreign.artefact import ForeignBar
-from campaigns.foreign.machine import CHAIN, GRID, RANGES, TOOL, ForeignMachine, aligned_rms_um
+from campaigns.foreign.machine import CHAIN, GRID, RANGES, TOOL, DrawnMachine, aligned_rms_um
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
@@ -48,7 +48,7 @@ def family_of(order: int) -> Family:
 
 
 def score(
-    machine: ForeignMachine,
+    machine: DrawnMachine,
     bar: ForeignBar,
     seen: Observations,
     options: Options | None = None,
@@ -76,7 +76,7 @@ class WrittenModel(Protocol):
     def parameters(self) -> Array: ...
 
 
-def true_error_um(machine: ForeignMachine, written: WrittenModel | None = None) -> float:
+def true_error_um(machine: DrawnMachine, written: WrittenModel | None = None) -> float:
     """Return the true volumetric error in µm over the whole travel, after the best rigid motion is removed: with the
     parameters of the estimate `written` as compensation, or without compensation."""
     left = machine.deviation(GRID)
@@ -118,7 +118,7 @@ class ComparisonWithTruth:
         return self.after_um / self.predicted_um
 
 
-def compare_with_truth(machine: ForeignMachine, estimate: Estimate, rng: np.random.Generator) -> ComparisonWithTruth:
+def compare_with_truth(machine: DrawnMachine, estimate: Estimate, rng: np.random.Generator) -> ComparisonWithTruth:
     """Compare `estimate` with the truth over the whole travel of the machine."""
     before_um, after_um = true_error_um(machine), true_error_um(machine, estimate)
     forms = field_forms(estimate, GRID, TOOL)

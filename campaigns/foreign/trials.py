@@ -4,11 +4,14 @@ Machines are drawn, measured and identified. For each, the true volumetric error
 compensation) are compared with the prediction and with the stated 95 % limits. The field of errors is compared with its
 intervals at single points, and at twelve points jointly.
 
-There are three trials. `S3` measures the six positions of S3 at four stations, `designed` the 20 positions of
-`designed.csv`, which `volcal design --positions 20 --grid-deg 45` chose for the case study with a bar of 11 balls
-tilted by 8°. `nights` fuses ten nights of five positions with a first full night, while the machine walks.
+The trials `S3`, `S1+S3` and `S1+S2+S3` measure the positions of these sets at four stations, `designed` the 20
+positions of `designed.csv`, which `volcal design --positions 20 --grid-deg 45` chose for the case study with a bar of
+11 balls tilted by 8°. `nights` fuses ten nights of five positions with a first full night, while the machine walks.
 
-    python -m campaigns.foreign --machines 500 [--trial S3] [--csv foreign.csv]
+The machines come from one of two generators that share no code: `mixed` (`campaigns.foreign.machine`) or `sines`
+(`campaigns.foreign.sine_machine`). The trial `nights` has machines of the first one only.
+
+    python -m campaigns.foreign --machines 500 [--trial S3] [--generator sines] [--csv foreign.csv]
 
 The output ends with one line of JSON.
 """
@@ -19,7 +22,7 @@ import argparse
 import csv
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from functools import partial
@@ -32,13 +35,22 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # must be set before numpy i
 import numpy as np
 
 from benchmarks.places import write_csv
-from campaigns.foreign.artefact import S3, STATIONS_MM, measure_at, tilted_bar
-from campaigns.foreign.machine import KIND_NAMES, ForeignMachine, foreign_machine
+from campaigns.foreign.artefact import S1, S2, S3, STATIONS_MM, measure_at, tilted_bar
+from campaigns.foreign.machine import KIND_NAMES, DrawnMachine, foreign_machine
 from campaigns.foreign.nights import fused_nights, walk
 from campaigns.foreign.score import ComparisonWithTruth, compare_with_truth, family_of
+from campaigns.foreign.sine_machine import sine_machine
 from twin.identification import identify_by_evidence
 
-TRIALS = ("S3", "designed", "nights")
+SETS: Mapping[str, Sequence[tuple[float, float]]] = {"S3": S3, "S1+S3": S1 + S3, "S1+S2+S3": S1 + S2 + S3}
+"""Orientations (azimuth, elevation) in degrees of each set, which are measured at every station."""
+
+TRIALS = (*SETS, "designed", "nights")
+GENERATORS: Mapping[str, Callable[[np.random.Generator], DrawnMachine]] = {
+    "mixed": foreign_machine,
+    "sines": sine_machine,
+}
+"""Functions that draw a machine, by the name of their generator."""
 _NIGHTS = 10
 _SEED = 11
 
@@ -47,8 +59,8 @@ Places = Sequence[tuple[Sequence[float], Sequence[tuple[float, float]]]]
 
 def places_of(trial: str) -> Places:
     """Return the stations in mm of a trial, each with its orientations (azimuth, elevation) in degrees."""
-    if trial == "S3":
-        return [(station, S3) for station in STATIONS_MM]
+    if trial in SETS:
+        return [(station, SETS[trial]) for station in STATIONS_MM]
     text = files("campaigns.foreign").joinpath("designed.csv").read_text(encoding="utf-8")
     by_station = groupby(csv.DictReader(text.splitlines()), key=lambda row: int(row["station"]))
     return [
@@ -57,18 +69,18 @@ def places_of(trial: str) -> Places:
     ]
 
 
-def one_machine(trial: str, number: int) -> tuple[str, ComparisonWithTruth]:
-    """Return the kinds of error motions of machine `number`, and the judgement of its estimate."""
+def one_machine(trial: str, generator: str, number: int) -> tuple[str, ComparisonWithTruth]:
+    """Return the kinds of error motions of machine `number` of a generator, and the judgement of its estimate."""
     rng = np.random.default_rng([number, _SEED])
     if trial == "nights":
         *_, last = fused_nights(walk, _NIGHTS, seed=int(rng.integers(2**31)))
         return kinds_of(last.machine), compare_with_truth(last.machine, last.estimate, rng)
-    machine, bar = foreign_machine(rng), tilted_bar(rng)
+    machine, bar = GENERATORS[generator](rng), tilted_bar(rng)
     seen = measure_at(machine, bar, places_of(trial), rng).seen
     return kinds_of(machine), compare_with_truth(machine, identify_by_evidence(family_of, seen, bar.artefact), rng)
 
 
-def kinds_of(machine: ForeignMachine) -> str:
+def kinds_of(machine: DrawnMachine) -> str:
     """Return the kinds of the error motions of the axes X, Y and Z."""
     return " ".join(machine.motion_kinds)
 
@@ -95,10 +107,10 @@ def summary(judged: Sequence[ComparisonWithTruth]) -> dict[str, float]:
     }
 
 
-def run_trial(trial: str, machines: int) -> tuple[list[dict[str, object]], dict[str, float]]:
+def run_trial(trial: str, machines: int, generator: str) -> tuple[list[dict[str, object]], dict[str, float]]:
     """Return one row for each machine of a trial, and the summary of the trial."""
     with ProcessPoolExecutor() as workers:
-        found = list(workers.map(partial(one_machine, trial), range(machines), chunksize=4))
+        found = list(workers.map(partial(one_machine, trial, generator), range(machines), chunksize=4))
     rows = [{"trial": trial, "machine": n, "kinds": kinds, **asdict(one)} for n, (kinds, one) in enumerate(found)]
     for kind in KIND_NAMES:
         of_kind = [one for kinds, one in found if kind in kinds.split()]
@@ -114,9 +126,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m campaigns.foreign", description="Identify foreign machines.")
     parser.add_argument("--machines", type=int, default=500, help="machines of each trial")
     parser.add_argument("--trial", choices=TRIALS, action="append", help="one of the trials; all if not given")
+    parser.add_argument("--generator", choices=tuple(GENERATORS), default="mixed", help="generator of the machines")
     parser.add_argument("--csv", type=Path, help="file for one row for each machine")
     given = parser.parse_args()
-    trials = {trial: run_trial(trial, given.machines) for trial in given.trial or TRIALS}
+    trials = {trial: run_trial(trial, given.machines, given.generator) for trial in given.trial or TRIALS}
     if given.csv is not None:
         write_csv([row for rows, _ in trials.values() for row in rows], given.csv)
     print(json.dumps({trial: whole for trial, (_, whole) in trials.items()}))

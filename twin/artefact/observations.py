@@ -71,6 +71,11 @@ class Observations:
         """Offsets in mm of the tools with which at least one ball was measured, with one row (3,) per tool."""
         return np.asarray(self.tool_offsets[np.unique(self.tool)])
 
+    @property
+    def coordinate_variance_mm2(self) -> float:
+        """Stated variance in mm² of one coordinate of a ball centre, as a mean over all rows and directions."""
+        return float(np.einsum("nii->n", self.covariance).mean()) / 3.0
+
     def select(self, mask: np.ndarray[Any, Any]) -> Observations:
         """Return the rows selected by `mask`, a boolean array (n,) or an array of row indices."""
         rows = {

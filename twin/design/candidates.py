@@ -16,9 +16,10 @@ from twin.design.criterion import Criterion
 from twin.design.procedure import PlannedMeasurement, Procedure
 from twin.errors import DataError
 from twin.identification.centres import CentreEquations
-from twin.identification.normal import PriorPrecision, Scales
+from twin.identification.normal import PriorPrecision
 from twin.identification.options import Options
 from twin.identification.problem import IdentificationProblem, build_problem
+from twin.identification.scales import Scales
 from twin.machine.machine_population import Family
 from twin.machine.volumetric import VolumetricRms
 

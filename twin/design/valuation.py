@@ -13,9 +13,10 @@ from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.design.criterion import Criterion
 from twin.identification.centres import CentreEquations
-from twin.identification.normal import Posterior, PriorPrecision, Scales
+from twin.identification.normal import Posterior, PriorPrecision
 from twin.identification.options import Options
 from twin.identification.problem import IdentificationProblem, build_problem
+from twin.identification.scales import Scales
 from twin.machine.machine_population import Family
 from twin.machine.volumetric import VolumetricRms
 

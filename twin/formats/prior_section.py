@@ -70,7 +70,8 @@ class CarriedOverSection(StrictModel):
 
     `mean` and `covariance` are in units of the prior standard deviations. Only the lower triangle of the covariance is
     stored, row by row. `scale` contains the unit of each parameter in mm or rad. `drift_factor` is absent if no
-    night has told anything about the drift yet.
+    night has told anything about the drift yet. `stated_noise_mm2` is the stated variance in mm² of one coordinate of a
+    measured ball centre.
     """
 
     scale: Row
@@ -79,6 +80,7 @@ class CarriedOverSection(StrictModel):
     mean: Row
     covariance: Rows
     drift_factor: DriftFactorSection = DriftFactorSection(**vars(DriftFactor()))
+    stated_noise_mm2: float = Field(default=0.0, ge=0.0)
 
 
 def carried_over_document(
@@ -100,6 +102,7 @@ def carried_over_document(
         "mean": mean.tolist(),
         "covariance": [row[: index + 1] for index, row in enumerate(covariance.tolist())],
         **({} if drift_factor == DriftFactor() else {"drift_factor": vars(drift_factor)}),
+        "stated_noise_mm2": unknowns.stated_noise_mm2,
     }
 
 
@@ -131,9 +134,9 @@ def read_unknowns(section: CarriedOverSection, model: ErrorModel, source: str) -
         uncertified=artefact.uncertified_balls,
     )
     scale = _array(section.scale, (model.size,), source, "scale")
-    if misfit is None:
-        return Unknowns(model, scale, errors, None, 0.0)
-    return Unknowns(model, scale, errors, _modes(misfit, model, source), misfit.rms_mm)
+    modes = None if misfit is None else _modes(misfit, model, source)
+    rms_mm = 0.0 if misfit is None else misfit.rms_mm
+    return Unknowns(model, scale, errors, modes, rms_mm, stated_noise_mm2=section.stated_noise_mm2)
 
 
 def _modes(section: MisfitSection, model: ErrorModel, source: str) -> MisfitModes:

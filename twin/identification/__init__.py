@@ -6,7 +6,6 @@ from twin.identification.checks.step_in_run import StepInRun
 from twin.identification.estimate import Estimate, Misfit
 from twin.identification.evidence import OrderEvidence
 from twin.identification.identify import identify
-from twin.identification.normal import Scales
 from twin.identification.observability import NullDirection
 from twin.identification.options import Options
 from twin.identification.order import identify_by_evidence
@@ -20,6 +19,7 @@ from twin.identification.predicted import (
     shared_with_artefact,
 )
 from twin.identification.prior_from_estimate import CarriedOverPrior, DriftFactor, process_noise
+from twin.identification.scales import Scales
 
 __all__ = [
     "BallCheck",

@@ -22,7 +22,8 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.identification.evidence import SCALE_PRIORS, free_scales, log_scale_precision
-from twin.identification.normal import Posterior, PriorPrecision, Scales
+from twin.identification.normal import Posterior, PriorPrecision
+from twin.identification.scales import Scales
 
 _STATIONARY = 6  # number of the scale of the stationary part in `Scales.values`
 

@@ -16,10 +16,10 @@ from twin.identification.checks.shift_pattern import PatternTest
 from twin.identification.checks.step_in_run import StepInRun
 from twin.identification.evidence import OrderEvidence, scales_at_bounds
 from twin.identification.misfit import MisfitModes
-from twin.identification.normal import Scales
 from twin.identification.observability import NullDirection, Observability, observability, summary
 from twin.identification.options import Formulation
 from twin.identification.prior_from_estimate import CarriedOverPrior, DriftFactor
+from twin.identification.scales import Scales
 from twin.identification.unknowns import Unknowns
 from twin.machine.error_model import ErrorModel
 from twin.thermal.machine_drift import DriftEstimate

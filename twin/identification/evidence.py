@@ -23,7 +23,8 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.identification.misfit import MISFIT_KINDS
-from twin.identification.normal import NormalEquations, Posterior, PriorPrecision, Scales
+from twin.identification.normal import NormalEquations, Posterior, PriorPrecision
+from twin.identification.scales import Scales
 
 
 @dataclass(frozen=True)

@@ -35,9 +35,10 @@ from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.identification.centres import CentreEquations
 from twin.identification.jump import ERRORS, ErrorCoefficients
-from twin.identification.normal import Posterior, PriorPrecision, Scales
+from twin.identification.normal import Posterior, PriorPrecision
 from twin.identification.options import Options
 from twin.identification.problem import build_problem
+from twin.identification.scales import Scales
 from twin.identification.unknowns import Unknowns
 from twin.machine.error_model import SQUARENESS
 from twin.machine.machine_population import Family

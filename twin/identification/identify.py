@@ -13,6 +13,7 @@ from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.errors import DataError, PositionError, SingularSet
 from twin.identification.alternatives import Alternative
+from twin.identification.checks.mirrored_artefact import refuse_mirrored
 from twin.identification.checks.outliers import Rows, WhitenedResiduals, contradicting_rows, studentised_residuals
 from twin.identification.checks.shift_pattern import PatternTest, shift_patterns
 from twin.identification.checks.slipped_position import Slip, slip_in
@@ -21,13 +22,13 @@ from twin.identification.checks.wrong_balls import WrongBallSearch, is_isolated,
 from twin.identification.distances import DistanceEquations
 from twin.identification.estimate import Estimate, Misfit
 from twin.identification.evidence import PRIOR
-from twin.identification.misfit import MisfitModes
 from twin.identification.options import Options
 from twin.identification.poses import Poses, rigid_poses
 from twin.identification.prior_from_estimate import DriftFactor
 from twin.identification.problem import IdentificationProblem
 from twin.identification.roll import build_measured_problem, restrict_measured_problem
 from twin.identification.solution import Solution, average_over_scales, solve
+from twin.identification.unknowns import Unknowns
 from twin.machine.error_model import ErrorModel
 from twin.machine.machine_population import Family
 from twin.thermal.machine_drift import DriftEstimate
@@ -44,13 +45,15 @@ Mask = np.ndarray[Any, np.dtype[np.bool_]]
 class _RowSelection:
     """Accepted rows of the whole problem, and the solution from these rows if it has already been computed.
 
-    The certified centres of the balls `free` contradict the measurements and are left free.
+    The certified centres of the balls `free` contradict the measurements and are left free. `contradicted` is True if
+    any ball contradicted its certificate in the search for outliers, even if it is no longer free.
     """
 
     problem: IdentificationProblem
     accepted: Mask
     solution: Solution | None
     free: tuple[int, ...] = ()
+    contradicted: bool = False
 
 
 def identify(
@@ -73,7 +76,10 @@ def identify(
         raise DataError("the family belongs to another model", hint="use the family of the same machine file")
     _check_set(observations)
     whole = build_measured_problem(family, observations, artefact, options)
-    return _estimate(whole, _select_rows(whole, options), options)
+    selection = _select_rows(whole, options)
+    if selection.contradicted:
+        refuse_mirrored(whole, family, observations, artefact, options)
+    return _estimate(whole, selection, options)
 
 
 def accepted_rows(family: Family, observations: Observations, artefact: Artefact, options: Options) -> Mask:
@@ -90,6 +96,8 @@ def accepted_rows_and_free_balls(
     whole = build_measured_problem(family, observations, artefact, options)
     accepted = np.empty(observations.size, dtype=bool)
     selection = _select_rows(whole, options)
+    if selection.contradicted:
+        refuse_mirrored(whole, family, observations, artefact, options)
     accepted[whole.layout.order] = selection.accepted
     return accepted, selection.free
 
@@ -160,7 +168,8 @@ def _without_outliers(whole: IdentificationProblem, options: Options) -> _RowSel
                 continue
             free = search.free
             same = options.formulation == "centres" and options.weights == "full" and options.use_prior
-            return _RowSelection(solution.equations.problem, accepted, solution if same else None, free)
+            contradicted = bool(free or search.bound)
+            return _RowSelection(solution.equations.problem, accepted, solution if same else None, free, contradicted)
         if slip is not None and slip.size_mm > _SLIP_ABOVE_MISFIT * _unresolved_rms_mm(whole, solution):
             _report_slip(whole, accepted, slip)
         accepted = accepted.copy()
@@ -194,9 +203,7 @@ def _unresolved_rms_mm(whole: IdentificationProblem, solution: Solution) -> floa
     """Return the rms of the part of the misfit that the modes leave out, in mm. On a machine far outside its family it
     can look like a slip of the artefact."""
     unknowns = whole.unknowns
-    if unknowns.modes is None:
-        return 0.0
-    return math.sqrt(3.0 * _unresolved(unknowns.misfit_mm, unknowns.modes, solution))
+    return math.sqrt(3.0 * unknowns.unresolved_mm2(solution.scales))
 
 
 def _report_slip(whole: IdentificationProblem, accepted: Mask, slip: Slip) -> NoReturn:
@@ -348,16 +355,15 @@ def _misfit(whole: IdentificationProblem, solution: Solution, z: Array, covarian
         coefficients=z[misfit],
         covariance=covariance[misfit, misfit],
         cross_covariance=unknowns.scale[:, None] * covariance[own, misfit],
-        unresolved_mm2=_unresolved(unknowns.misfit_mm, unknowns.modes, solution),
+        unresolved_mm2=_unresolved_mm2(unknowns, solution),
     )
 
 
-def _unresolved(misfit_mm: float, modes: MisfitModes, solution: Solution) -> float:
-    """Return the variance in mm² per direction of the part of the misfit that the modes leave out, averaged over the
-    plausible scales."""
+def _unresolved_mm2(unknowns: Unknowns, solution: Solution) -> float:
+    """Return the variance in mm² per direction of errors whose wavelength is too short for the misfit modes, averaged
+    over the plausible scales."""
     likely = [one.scales for one in solution.alternatives] or [solution.scales]
-    squares = np.mean([np.square(scales.kinds) for scales in likely], axis=0)
-    return float(misfit_mm**2 * (modes.left_out @ squares))
+    return float(np.mean([unknowns.unresolved_mm2(scales) for scales in likely]))
 
 
 def _residuals(whole: IdentificationProblem, selection: _RowSelection, solution: Solution) -> Array:

@@ -3,7 +3,6 @@ artefact have already been eliminated by projection."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -14,8 +13,8 @@ from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtri
 
 from twin.arrays import Array
 from twin.errors import SingularSet
-from twin.identification.misfit import MISFIT_KINDS
-from twin.identification.series_prior import STATIONARY_SHARE, Mask, PrincipalSeries, SeriesPrior
+from twin.identification.scales import Scales
+from twin.identification.series_prior import Mask, PrincipalSeries, SeriesPrior
 from twin.identification.unknowns import UnknownBlocks
 
 
@@ -36,47 +35,6 @@ class NormalEquations:
         """Return the sum of squares |A z - y|² of the equations with the design matrix A and the right side y, at the
         unknowns z."""
         return max(0.0, self.square - 2.0 * float(self.right @ z) + float(z @ self.matrix @ z))
-
-
-@dataclass(frozen=True)
-class Scales:
-    """Scales: factors on the standard deviations of the touch noise, of the parameter prior and of each kind of misfit.
-
-    The Legendre series of the error motions have two scales of their own: `stationary` for their stationary part, and
-    `independent` for their independent coefficients. The scale `prior` then applies to all other parameters.
-    """
-
-    noise: float = 1.0
-    prior: float = 1.0
-    mixed: float = 1.0
-    waves_x: float = 1.0
-    waves_y: float = 1.0
-    waves_z: float = 1.0
-    stationary: float = 1.0
-    independent: float = 1.0
-
-    @property
-    def values(self) -> tuple[float, ...]:
-        """Scales of the noise, the parameter prior, each kind of misfit, the stationary part of the error motions and
-        their independent coefficients, in this order."""
-        return self.noise, self.prior, *self.kinds, self.stationary, self.independent
-
-    @property
-    def kinds(self) -> tuple[float, float, float, float]:
-        """Scales of the kinds of misfit, in the order of `MISFIT_KINDS`: mixed terms, waves along X, waves along Y,
-        waves along Z."""
-        return self.mixed, self.waves_x, self.waves_y, self.waves_z
-
-    @property
-    def motions(self) -> float:
-        """Scale (factor) on the prior rms of both parts of the error motions combined."""
-        return math.hypot(self.independent, STATIONARY_SHARE * self.stationary)
-
-    @property
-    def misfit(self) -> float:
-        """Scale (factor) on the prior rms of all kinds of misfit combined."""
-        shares = MISFIT_KINDS.values()
-        return math.sqrt(sum(share * scale**2 for share, scale in zip(shares, self.kinds, strict=True)))
 
 
 @dataclass(frozen=True, eq=False)

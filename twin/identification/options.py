@@ -7,8 +7,8 @@ from typing import Literal
 
 from twin.arrays import Array
 from twin.errors import DataError
-from twin.identification.normal import Scales
 from twin.identification.prior_from_estimate import CarriedOverPrior
+from twin.identification.scales import Scales
 from twin.thermal.models import ThermalModel
 
 Formulation = Literal["centres", "distances"]

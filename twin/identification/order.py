@@ -24,9 +24,9 @@ from twin.identification.checks.wrong_balls import with_free_balls
 from twin.identification.estimate import Estimate
 from twin.identification.evidence import OrderEvidence
 from twin.identification.identify import accepted_rows_and_free_balls, identify_accepted
-from twin.identification.normal import Scales
 from twin.identification.options import Options
 from twin.identification.roll import build_measured_problem
+from twin.identification.scales import Scales
 from twin.identification.solution import log_evidence_and_scales
 from twin.machine.machine_population import Family
 

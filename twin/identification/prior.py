@@ -33,10 +33,10 @@ def unknowns_of(family: Family, artefact: Artefact, seen: Observations, options:
         )
     errors, carried = _artefact_errors(artefact, options), options.carried_over
     scale = _scale(family, options) if carried is None else carried.unknowns.scale
-    drift = _drift(family, seen, options, scale)
+    drift, noise_mm2 = _drift(family, seen, options, scale), seen.coordinate_variance_mm2
     if carried is None:
         modes = _modes(family, seen) if options.misfit_mm > 0.0 else None
-        return Unknowns(family.model, scale, errors, modes, options.misfit_mm, drift)
+        return Unknowns(family.model, scale, errors, modes, options.misfit_mm, drift, noise_mm2)
     old = carried.unknowns
     if old.model != family.model:
         raise DataError("the carried-over estimate belongs to another model", hint="identify with its model")
@@ -46,8 +46,8 @@ def unknowns_of(family: Family, artefact: Artefact, seen: Observations, options:
             thermometer = old.artefact.thermometer_standard_uncertainty_k
         errors = replace(old.artefact, thermometer_standard_uncertainty_k=thermometer)
     if old.modes is None and options.misfit_mm > 0.0:
-        return Unknowns(old.model, old.scale, errors, _modes(family, seen), options.misfit_mm, drift)
-    return Unknowns(old.model, old.scale, errors, old.modes, old.misfit_mm, drift)
+        return Unknowns(old.model, old.scale, errors, _modes(family, seen), options.misfit_mm, drift, noise_mm2)
+    return Unknowns(old.model, old.scale, errors, old.modes, old.misfit_mm, drift, noise_mm2)
 
 
 def _drift(family: Family, seen: Observations, options: Options, scale: Array) -> MachineDrift | None:

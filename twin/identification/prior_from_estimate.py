@@ -19,7 +19,8 @@ from scipy.linalg.lapack import dpotrf
 
 from twin.arrays import Array, as_vector
 from twin.errors import DataError
-from twin.identification.normal import JointPrior, Scales
+from twin.identification.normal import JointPrior
+from twin.identification.scales import Scales
 from twin.identification.unknowns import Unknowns
 from twin.machine.machine_population import Family
 from twin.machine.volumetric import QuadraticForm, evaluation_grid

@@ -31,10 +31,11 @@ from twin.artefact.artefact import Artefact
 from twin.artefact.certificate import CERTIFIED_MM
 from twin.artefact.observations import Observations
 from twin.identification.centres import CentreEquations
-from twin.identification.normal import Posterior, PriorPrecision, Scales
+from twin.identification.normal import Posterior, PriorPrecision
 from twin.identification.options import Options
 from twin.identification.poses import Poses, rotation_matrices
 from twin.identification.problem import IdentificationProblem, build_problem
+from twin.identification.scales import Scales
 from twin.identification.straight_lines import StraightLines
 from twin.machine.machine_population import Family
 

@@ -13,11 +13,12 @@ from twin.identification.alternatives import Alternative, alternatives, mean_and
 from twin.identification.centres import CentreEquations
 from twin.identification.distances import DistanceEquations
 from twin.identification.evidence import largest_log_evidence, log_evidence, most_likely_scales
-from twin.identification.normal import JointPrior, NormalEquations, Posterior, PriorPrecision, Scales
+from twin.identification.normal import JointPrior, NormalEquations, Posterior, PriorPrecision
 from twin.identification.observability import null_space, observability, summary
 from twin.identification.options import Formulation, Options
 from twin.identification.poses import Poses
 from twin.identification.problem import IdentificationProblem, Sides
+from twin.identification.scales import Scales
 from twin.identification.series_prior import SeriesPrior
 from twin.identification.unknowns import UnknownBlocks
 

@@ -13,6 +13,7 @@ from twin.artefact.artefact import Artefact
 from twin.artefact.artefact_calibration import ArtefactCalibration, artefact_calibration
 from twin.artefact.certificate import has_certificate
 from twin.identification.misfit import MisfitModes
+from twin.identification.scales import Scales
 from twin.machine.error_model import ErrorModel
 from twin.thermal.machine_drift import MachineDrift
 
@@ -122,6 +123,9 @@ class Unknowns:
     `artefact`. The fourth block contains the coefficients of the modes `modes` of the misfit; the misfit field in mm is
     the sum of all modes, each multiplied by its coefficient and by `misfit_mm`. The fifth block gives the drift of the
     machine during the measurement, as defined by `drift`. It is empty if `drift` is None, as in a stored estimate.
+
+    `stated_noise_mm2` is the stated variance, in mm², of one coordinate of a measured ball centre, as a mean over the
+    rows.
     """
 
     model: ErrorModel
@@ -130,6 +134,7 @@ class Unknowns:
     modes: MisfitModes | None
     misfit_mm: float
     drift: MachineDrift | None = None
+    stated_noise_mm2: float = 0.0
 
     @property
     def blocks(self) -> UnknownBlocks:
@@ -160,6 +165,19 @@ class Unknowns:
         covariance (P, P), or None if the ball centres are not among the unknowns."""
         block, errors = self.blocks.certificate, self.artefact
         return artefact_calibration(errors.balls, errors.certificate, z[block], z_covariance[block, block])
+
+    def unresolved_mm2(self, scales: Scales) -> float:
+        """Return the variance, in mm² for each direction, of errors of the machine whose wavelength is too short for
+        the modes of the misfit. It is 0 if no misfit is estimated.
+
+        One ball centre cannot tell such an error from the noise of its touches. The estimated variance of the noise
+        therefore contains it. What the estimated variance exceeds the stated one by is counted as error of the machine
+        (it stays after compensation), unless the misfit leaves out more at its own scales.
+        """
+        if self.modes is None:
+            return 0.0
+        left_out = self.misfit_mm**2 * float(self.modes.left_out @ np.square(scales.kinds))
+        return max(left_out, (scales.noise**2 - 1.0) * self.stated_noise_mm2)
 
     def physical_covariance(self, unit: Array) -> Array:
         """Return the covariance (p, p) of the parameters in mm and rad. `unit` (p, p) is the covariance of the same

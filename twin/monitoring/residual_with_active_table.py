@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from twin.arrays import Array, as_points, as_vector
 from twin.design.criterion import Criterion
-from twin.identification.normal import Scales
+from twin.identification.scales import Scales
 from twin.identification.unknowns import Unknowns
 from twin.machine.forward_model import deviation_basis
 from twin.machine.volumetric import VolumetricRms
@@ -25,12 +25,12 @@ class ResidualWithTable:
 
     `unknowns` defines the P unknowns z: the parameters of the error model, the coefficients of the misfit, and others.
     `form` contains the quadratic forms, shape (P, P), that give the mean square error, raw and aligned, from z.
-    `left_out_mm2` is the mean square, in mm², of the part of the misfit that the misfit modes do not represent.
+    `unresolved_mm2` is the mean square, in mm², of the errors whose wavelength is too short for the misfit modes.
     """
 
     unknowns: Unknowns
     form: Criterion
-    left_out_mm2: float
+    unresolved_mm2: float
 
     @classmethod
     def build(cls, unknowns: Unknowns, scales: Scales, grid: ArrayLike, tool_offset: ArrayLike) -> ResidualWithTable:
@@ -41,7 +41,7 @@ class ResidualWithTable:
         misfit.
         """
         form = Criterion.build(unknowns, grid, tool_offset)
-        return cls(unknowns, form, 3.0 * left_out_variance(unknowns, scales))
+        return cls(unknowns, form, 3.0 * unknowns.unresolved_mm2(scales))
 
     def of(self, mean: Array, covariance: Array, written: ArrayLike) -> VolumetricRms:
         """Return the root of the expected mean square of the residual field.
@@ -49,7 +49,7 @@ class ResidualWithTable:
         The P unknowns z of the machine have the given `mean`, shape (P,), and `covariance`, shape (P, P). `written`,
         shape (p,), contains the model parameters in mm or rad from which the table was computed.
         """
-        return self._root(covariance, self.uncompensated(mean, written), self.left_out_mm2)
+        return self._root(covariance, self.uncompensated(mean, written), self.unresolved_mm2)
 
     def between(self, mean: Array, other: Array) -> VolumetricRms:
         """Return the rms, over the workspace, of the difference between the deviations of two machines.
@@ -74,10 +74,10 @@ class ResidualWithTable:
         kept[own] = step[own]
         return kept
 
-    def _root(self, covariance: Array, step: Array, left_out_mm2: float) -> VolumetricRms:
+    def _root(self, covariance: Array, step: Array, unresolved_mm2: float) -> VolumetricRms:
         # E[zᵀQz] = tr(Q C) + mᵀQ m for the raw and for the aligned form
         raw, aligned = (
-            float(np.vdot(form, covariance)) + float(step @ form @ step) + left_out_mm2
+            float(np.vdot(form, covariance)) + float(step @ form @ step) + unresolved_mm2
             for form in (self.form.raw, self.form.aligned)
         )
         return VolumetricRms(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(aligned, 0.0))))
@@ -95,17 +95,6 @@ def uncompensated(unknowns: Unknowns, mean: Array, written: ArrayLike) -> Array:
     # A parameter that the family holds at zero has the unit 0 and is not in z: nothing to subtract.
     left[unknowns.blocks.parameters] -= np.where(scale > 0.0, parameters / np.where(scale > 0.0, scale, 1.0), 0.0)
     return left
-
-
-def left_out_variance(unknowns: Unknowns, scales: Scales) -> float:
-    """Return the variance in mm², per direction, of the part of the misfit that the misfit modes do not represent.
-
-    The misfit is the part of the true deviations that the error model cannot represent; the misfit modes are its basis
-    functions. Wavelengths shorter than those of the modes are not represented. `scales` contains the estimated factors
-    on the standard deviations of the kinds of misfit.
-    """
-    modes = unknowns.modes
-    return 0.0 if modes is None else unknowns.misfit_mm**2 * float(modes.left_out @ np.square(scales.kinds))
 
 
 def residual_covariance(
@@ -129,4 +118,4 @@ def residual_covariance(
     columns = fields.reshape(-1, blocks.size)
     # E[z zᵀ] = C + m mᵀ
     moments = covariance + np.multiply.outer(mean, mean)
-    return np.asarray(columns @ moments @ columns.T) + left_out_variance(unknowns, scales) * np.eye(len(columns))
+    return np.asarray(columns @ moments @ columns.T) + unknowns.unresolved_mm2(scales) * np.eye(len(columns))

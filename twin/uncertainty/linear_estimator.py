@@ -16,10 +16,11 @@ from twin.arrays import Array
 from twin.errors import DataError
 from twin.identification.centres import CentreEquations
 from twin.identification.distances import DistanceEquations
-from twin.identification.normal import JointPrior, Posterior, PriorPrecision, Scales
+from twin.identification.normal import JointPrior, Posterior, PriorPrecision
 from twin.identification.observability import null_space
 from twin.identification.options import Options
 from twin.identification.problem import IdentificationProblem
+from twin.identification.scales import Scales
 from twin.identification.unknowns import UnknownBlocks
 
 

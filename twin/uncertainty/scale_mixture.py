@@ -46,13 +46,11 @@ def mixture_components(estimate: Estimate) -> tuple[MixtureComponent, ...]:
     every = np.arange(blocks.size)
     indices = np.concatenate((every[blocks.parameters], every[blocks.misfit]))
     units = np.concatenate((unknowns.scale, np.ones(len(indices) - len(unknowns.scale))))
-    # share of the variance of each of the four kinds of misfit whose wavelength is too short for the modes
-    left_out = np.zeros(4) if unknowns.modes is None else unknowns.misfit_mm**2 * unknowns.modes.left_out
     return tuple(
         MixtureComponent(
             mean=units * one.z[indices],
             covariance=one.covariance[np.ix_(indices, indices)] * np.multiply.outer(units, units),
-            unresolved_mm2=float(left_out @ np.square(one.scales.kinds)),
+            unresolved_mm2=unknowns.unresolved_mm2(one.scales),
         )
         for one in estimate.alternatives
     )

@@ -7,7 +7,8 @@ import pytest
 
 from twin.identification.alternatives import Alternative, alternatives, mean_and_covariance
 from twin.identification.evidence import SCALE_PRIORS
-from twin.identification.normal import Posterior, PriorPrecision, Scales
+from twin.identification.normal import Posterior, PriorPrecision
+from twin.identification.scales import Scales
 from twin.identification.unknowns import UnknownBlocks
 
 BLOCKS = UnknownBlocks.of(5, 2, 0, (4, 3, 3, 3))

@@ -7,7 +7,8 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from twin.identification.evidence import in_principal_axes, most_likely_scales, negative_log_likelihood
-from twin.identification.normal import JointPrior, NormalEquations, PriorPrecision, Scales
+from twin.identification.normal import JointPrior, NormalEquations, PriorPrecision
+from twin.identification.scales import Scales
 from twin.identification.unknowns import UnknownBlocks
 
 BLOCKS = UnknownBlocks.of(4, 2, 0, (2, 1))

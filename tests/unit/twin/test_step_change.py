@@ -138,7 +138,7 @@ def test_expected_error_with_a_table_is_the_mean_over_drawn_machines(first: Esti
         squares.append(
             [volumetric_error(grid + TOOL, field).raw_mm ** 2, volumetric_error(grid + TOOL, field).aligned_mm ** 2]
         )
-    raw, aligned = np.sqrt(np.mean(squares, axis=0) + acting.left_out_mm2)
+    raw, aligned = np.sqrt(np.mean(squares, axis=0) + acting.unresolved_mm2)
     found = acting.of(first.z, first.z_covariance, written)
     assert found.raw_mm == pytest.approx(raw, rel=0.03)
     assert found.aligned_mm == pytest.approx(aligned, rel=0.03)

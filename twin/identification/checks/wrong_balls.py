@@ -18,10 +18,10 @@ from twin.identification.checks.certificate_check import (
     prior_with_free_balls,
     worst_ball,
 )
-from twin.identification.normal import Scales
 from twin.identification.options import Options
 from twin.identification.problem import IdentificationProblem
 from twin.identification.roll import with_estimated_roll
+from twin.identification.scales import Scales
 from twin.identification.solution import Solution, log_evidence_and_scales, solve
 
 
