@@ -168,7 +168,7 @@ def _without_outliers(whole: IdentificationProblem, options: Options) -> _RowSel
                 continue
             free = search.free
             same = options.formulation == "centres" and options.weights == "full" and options.use_prior
-            contradicted = bool(free or search.bound)
+            contradicted = bool(free or search.bound) or search.contradicted_in(solution)
             return _RowSelection(solution.equations.problem, accepted, solution if same else None, free, contradicted)
         if slip is not None and slip.size_mm > _SLIP_ABOVE_MISFIT * _unresolved_rms_mm(whole, solution):
             _report_slip(whole, accepted, slip)

@@ -82,6 +82,11 @@ class WrongBallSearch:
         self.free = free
         return True
 
+    def contradicted_in(self, solution: Solution) -> bool:
+        """Return True if a ball contradicts its certificate in `solution`."""
+        unknowns = solution.equations.problem.unknowns
+        return worst_ball(unknowns, solution.z, solution.covariance, self.free) is not None
+
     def bind_again(self, problem: IdentificationProblem, solution: Solution) -> bool:
         """Bind the freed balls that agree with their certificate in `solution`. Return False if there are none."""
         agreeing = agreeing_balls(problem.unknowns, solution.z, solution.covariance, self.free)
