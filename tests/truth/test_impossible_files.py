@@ -173,6 +173,14 @@ class TestGivenTwice:
         copied = [{**row, "position": "99"} for row in rows if row["position"] == "4"][::-1]
         refused(folder, bar, rows + copied, "position 99 repeats position 4")
 
+    def test_copy_with_disturbed_last_digits(self, bars: Bars, folder: Folder) -> None:
+        bar, rows = bars["tilted"]
+        rng = np.random.default_rng(5)
+        copied = [{**row, "position": "99"} for row in rows if row["position"] == "4"]
+        for row in copied:
+            row.update({axis: repr(float(row[axis]) + rng.uniform(-2e-6, 2e-6)) for axis in AXES})
+        refused(folder, bar, rows + copied, "position 99 repeats position 4")
+
     def test_one_ball_for_another(self, bars: Bars, folder: Folder) -> None:
         bar, rows = bars["tilted"]
         copied = [dict(row) for row in rows]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from campaigns.foreign.artefact import S3, ForeignBar, measure, straight_bar, ti
 from campaigns.foreign.machine import CHAIN, GRID, RANGES, TOOL, foreign_machine
 from campaigns.foreign.score import turned_about_the_bar
 from twin.artefact.observations import Observations
-from twin.identification import Estimate, identify
+from twin.identification import Estimate, identify, predicted_vce
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import exact_deviation
 from twin.machine.kinematic_chain import parse_chain
@@ -77,6 +78,19 @@ def test_frame_turned_about_the_bar(case: Case) -> None:
     seen, bar, before = case
     turned = replace(bar, certified=turned_about_the_bar(bar.certified, 2.1))
     assert_same(field(estimate(seen, turned)), before)
+
+
+@pytest.mark.parametrize("uncertified", [(), (3, 7)])
+def test_frame_turned_by_a_share_of_a_turn(uncertified: tuple[int, ...]) -> None:
+    """The roll of a straight bar starts from another angle, and the shifts and tilts of its poses with it."""
+    rng = np.random.default_rng([11, 1])
+    machine, bar = foreign_machine(rng), replace(straight_bar(rng, 0.005), uncertified=uncertified)
+    seen = measure(machine, bar, S3, rng, clamping_roll_rad=0.4).seen
+    turned = replace(bar, certified=turned_about_the_bar(bar.certified, math.radians(40.0)))
+    one, other = estimate(seen, bar), estimate(seen, turned)
+    assert_same(field(other), field(one))
+    first_um, second_um = (predicted_vce(found, GRID, TOOL).aligned_um for found in (one, other))
+    assert second_um == pytest.approx(first_um, rel=1e-6)
 
 
 def test_zero_of_the_axes(case: Case) -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from campaigns.foreign.artefact import S3, measure, straight_bar
 from campaigns.foreign.machine import HIGH, foreign_machine
 from campaigns.foreign.score import family_of

@@ -31,6 +31,7 @@ TRACEABLE_PPM = 10.0
 _MAX_CONTRADICTION = 5.0
 _PER_PPM = 1e-6
 _INDEPENDENT = 1e-9  # smallest singular value, relative to the largest, of an independent motion
+_EXACT_MM = 1e-5  # least uncertainty of a centre: an exact certificate has no weight otherwise
 _SAME_LENGTH_MM = 1.0  # two distances that differ by less could both be meant by the length of the end balls
 
 
@@ -88,14 +89,25 @@ def has_certificate(balls: Array, covariance: Array) -> bool:
     artefact's frame and of a common scale do not count.
     """
     # A length can be certified although the scale is poor, and a frame is a convention: neither is part of the shape.
-    free = without_motions(balls, scale=True)
-    variances = np.diagonal(free @ covariance @ free).reshape(-1, 3).mean(axis=1)
+    fields = _motions(balls, scale=True)
+    # The motion is fitted with the weights of the covariance, C - F (Fᵀ C⁻¹ F)⁻¹ Fᵀ: fitted with equal weights, a ball
+    # that is not certified would carry its uncertainty into all others.
+    weighted = np.linalg.solve(covariance + _EXACT_MM**2 * np.eye(balls.size), fields)
+    left = covariance - fields @ np.linalg.solve(fields.T @ weighted, fields.T)
+    variances = np.diagonal(left).reshape(-1, 3).mean(axis=1)
     return bool(np.median(variances) <= CERTIFIED_MM**2)
 
 
 def without_motions(balls: Array, *, scale: bool = False) -> Array:
     """Return the projector (3N, 3N) that removes small rigid motions from displacements of the centres `balls` (N, 3)
     and, if `scale` is True, a common scale as well."""
+    seen = _motions(balls, scale=scale)
+    return np.asarray(np.eye(balls.size) - seen @ seen.T)
+
+
+def _motions(balls: Array, *, scale: bool) -> Array:
+    """Return an orthonormal basis (3N, m) of the displacements of the centres `balls` (N, 3) by small rigid motions
+    and, if `scale` is True, by a common scale."""
     arms = balls - balls.mean(axis=0)
     size_mm = float(np.abs(arms).max())
     fields = rigid_fields(arms, np.zeros(3), size_mm).reshape(balls.size, -1)
@@ -103,8 +115,7 @@ def without_motions(balls: Array, *, scale: bool = False) -> Array:
         fields = np.column_stack((fields, arms.reshape(-1) / size_mm))
     # the rotation of a straight artefact about its line displaces no ball, so its column may be zero
     basis, values, _ = np.linalg.svd(fields, full_matrices=False)
-    seen = basis[:, values > _INDEPENDENT * values[0]]
-    return np.asarray(np.eye(balls.size) - seen @ seen.T)
+    return np.asarray(basis[:, values > _INDEPENDENT * values[0]])
 
 
 def best_known_length(balls: Array, covariance: Array) -> BallDistance:

@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,7 +26,7 @@ from twin.machine.kinematic_chain import AXES
 COORDINATES = ("x_mm", "y_mm", "z_mm")
 _BEYOND_MM = 1.0  # corrections of a table may carry an axis position beyond the soft limits, by less than this
 _UM_FOR_MM = 20.0  # values this many times the travel are no shifted frame
-_SAME_DECIMALS = 6
+_SAME_MM = 2e-5  # far below the repeatability of any probe on a machine tool
 _MIN_REPEATED = 3  # of a bar measured twice with a resolution of 1 µm, single balls agree by chance
 COLUMNS = (
     "position",
@@ -274,17 +275,13 @@ def check_repeated(
 ) -> None:
     """Raise FormatError if the same measurement is given twice.
 
-    Two balls of one position cannot have the same coordinates to the last digit. If several balls of two positions (at
-    least half of the balls of one of them) share their coordinates, one measurement is in the file under two position
-    numbers (`numbers`), and the identification would count it twice.
+    Two balls of one position cannot have the same coordinates. Coordinates count as the same if they differ by less
+    than any touch probe repeats, because a copy may have been rounded or disturbed. If several balls of two positions
+    (at least half of the balls of one of them) share their coordinates, one measurement is in the file under two
+    position numbers (`numbers`), and the identification would count it twice.
     """
-    first_at: dict[tuple[object, ...], int] = {}
     repeated: dict[tuple[int, int], list[tuple[int, int]]] = {}
-    places = np.round(axis_positions, _SAME_DECIMALS)
-    for row, (tool, place) in enumerate(zip(tools, map(tuple, places.tolist()), strict=True)):
-        first = first_at.setdefault((tool, place), row)
-        if first == row:
-            continue
+    for first, row in _copied_rows(tools, axis_positions):
         if numbers[first] == numbers[row]:
             message = f"ball {balls[row]} has the coordinates of ball {balls[first]} in row {rows[first].number}"
             raise rows[row].error(
@@ -295,6 +292,21 @@ def check_repeated(
         smaller = min(numbers.count(one), numbers.count(other))
         if len(pairs) >= min(_MIN_REPEATED, smaller) and 2 * len(pairs) >= smaller:
             raise _repeated(rows, one, other, pairs)
+
+
+def _copied_rows(tools: Sequence[int], axis_positions: Array) -> list[tuple[int, int]]:
+    """Return the pairs of rows, the earlier one first, whose balls were touched with the same tool at the same axis
+    positions (n, 3). The later rows are in their order."""
+    pairs: set[tuple[int, int]] = set()
+    # Two places within half a cell share a cell of at least one of two grids per axis, half a cell apart.
+    for offset in product((0.0, 0.5), repeat=3):
+        cells = np.floor(axis_positions / (2.0 * _SAME_MM) + np.array(offset)).tolist()
+        first_at: dict[tuple[object, ...], int] = {}
+        for row, (tool, cell) in enumerate(zip(tools, cells, strict=True)):
+            first = first_at.setdefault((tool, *cell), row)
+            if first != row:
+                pairs.add((first, row))
+    return sorted(pairs, key=lambda pair: pair[::-1])
 
 
 def _repeated(rows: Sequence[CsvRow], one: int, other: int, pairs: Sequence[tuple[int, int]]) -> FormatError:

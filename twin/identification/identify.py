@@ -78,7 +78,7 @@ def identify(
     whole = build_measured_problem(family, observations, artefact, options)
     selection = _select_rows(whole, options)
     if selection.contradicted:
-        refuse_mirrored(whole, family, observations, artefact, options)
+        _refuse_mirrored(selection, whole, artefact, family, options)
     return _estimate(whole, selection, options)
 
 
@@ -97,9 +97,16 @@ def accepted_rows_and_free_balls(
     accepted = np.empty(observations.size, dtype=bool)
     selection = _select_rows(whole, options)
     if selection.contradicted:
-        refuse_mirrored(whole, family, observations, artefact, options)
+        _refuse_mirrored(selection, whole, artefact, family, options)
     accepted[whole.layout.order] = selection.accepted
     return accepted, selection.free
+
+
+def _refuse_mirrored(
+    selection: _RowSelection, whole: IdentificationProblem, artefact: Artefact, family: Family, options: Options
+) -> None:
+    seen = whole.observations.select(selection.accepted)
+    refuse_mirrored(selection.problem, selection.free, family, seen, artefact, _screening(options))
 
 
 def identify_accepted(

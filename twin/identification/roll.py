@@ -86,7 +86,7 @@ def with_estimated_roll(problem: IdentificationProblem, scales: Scales) -> Ident
         arms = replace(problem.arms, pattern=local - problem.local)
         problem = replace(problem, arms=arms).with_poses(_rolled(problem, lines, rolled))
     for _ in range(_MAX_ITERATIONS):
-        vector, estimated = _roll_vector(problem, lines, local, scales)
+        vector, moves, estimated = _roll_vector(problem, lines, local, scales)
         if not pattern_is_measured:
             local = estimated
         # mode of the likelihood of both coefficients times a von Mises prior at the mount's roll; a well-seen pattern
@@ -94,6 +94,9 @@ def with_estimated_roll(problem: IdentificationProblem, scales: Scales) -> Ident
         concentration = np.exp(-0.5 * np.linalg.norm(vector, axis=1))
         vector += concentration[:, None] * np.stack((np.cos(rolled), -np.sin(rolled)), axis=1)
         step = np.where(lines.straight, np.arctan2(vector[:, 1], vector[:, 0]), 0.0)
+        # The shifts and tilts of the start were fitted at another roll. The design is linearised at the poses, so they
+        # must not depend on that start either.
+        problem = replace(problem, poses=problem.poses.moved(moves, problem.arms))
         problem = problem.with_poses(_rolled(problem, lines, step))
         rolled += step
         if float(np.abs(step).max()) < _CONVERGED_RAD:
@@ -111,10 +114,10 @@ def _rolled(problem: IdentificationProblem, lines: StraightLines, rolls: Array) 
 
 def _roll_vector(
     problem: IdentificationProblem, lines: StraightLines, local: Array, scales: Scales
-) -> tuple[Array, Array]:
-    """Return the coefficients (K, 2) of the pattern u and of n × u in each position, divided by their variance, and the
-    estimated ball centres (n, 3) in mm in the artefact's frame. The pattern u is that of the centres `local` (n, 3) of
-    the previous estimate."""
+) -> tuple[Array, Array, Array]:
+    """Return the coefficients (K, 2) of the pattern u and of n × u in each position, divided by their variance, the
+    increments (K, 6) that fit shift and tilt of each pose but leave its roll, and the estimated ball centres (n, 3) in
+    mm in the artefact's frame. The pattern u is that of the centres `local` (n, 3) of the previous estimate."""
     layout, poses = problem.layout, problem.poses
     pattern, size = _patterns(problem, lines, local)
     jacobian = np.zeros((layout.positions, layout.width, 3, 7))
@@ -129,7 +132,8 @@ def _roll_vector(
     # increments with the machine's errors at z, and their covariance from the noise and from z
     back = equations.projector.back
     through = back @ equations.parts.reshape(layout.positions, 7, -1)
-    coefficients = (increments + through @ z)[:, 5:]
+    fitted = increments + through @ z
+    coefficients, moves = fitted[:, 5:], np.insert(fitted[:, :5], 3, 0.0, axis=1)
     spread = posterior.whiten(through[:, 5:].reshape(-1, len(z)))
     variance = scales.noise**2 * np.einsum("kij,kij->k", back[:, 5:], back[:, 5:])
     variance = 0.5 * (variance + np.einsum("kj,kj->k", *2 * [spread.reshape(layout.positions, -1)]))
@@ -137,7 +141,7 @@ def _roll_vector(
     # coefficients of u / |u| have the variance v, so those of u itself divided by theirs are |u| / v times as large
     weight = np.divide(size, variance, out=np.zeros_like(size), where=size > 0.0)
     errors = problem.nuisance.displacement(problem.observations.ball, z[problem.blocks.certificate], np.zeros(0))
-    return np.asarray(coefficients * weight[:, None]), problem.local + errors
+    return np.asarray(coefficients * weight[:, None]), moves, problem.local + errors
 
 
 def _patterns(problem: IdentificationProblem, lines: StraightLines, local: Array) -> tuple[Array, Array]:

@@ -156,8 +156,9 @@ def test_the_length_of_the_end_balls_is_a_reference_length() -> None:
 def test_an_artefact_with_rough_centres_has_no_certificate_but_may_have_a_length() -> None:
     rough, long = parse_artefact(ROUGH, "bar.toml"), parse_artefact(END_LENGTH + ROUGH, "bar.toml")
     certified = parse_artefact("length_standard_uncertainty_ppm = 100.0\n" + TEXT, "bar.toml")
-    found = [has_certificate(one.balls, one.covariance) for one in (rough, long, certified)]
-    assert found == [False, False, True]
+    partly = parse_artefact("uncertified_balls = [1]\n" + TEXT, "bar.toml")
+    found = [has_certificate(one.balls, one.covariance) for one in (rough, long, certified, partly)]
+    assert found == [False, False, True, True]
     best = best_known_length(long.balls, long.covariance)
     assert best.balls == (0, 3)
     assert best.length_mm == pytest.approx(900.09, abs=1e-5)
