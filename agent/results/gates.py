@@ -251,7 +251,7 @@ def table_gates(
     return (
         *shape_gates(table, store, limits),
         extrapolation_gate(float(np.mean(table.extrapolated)), limits),
-        unmeasured_gate(*((0.0, 0.0) if part is None else (part.estimated_ve_um, part.predicted_vce_um)), limits),
+        unmeasured_gate(*((0.0, 0.0) if part is None else (part.table_ve_um, part.predicted_vce_um)), limits),
     )
 
 
