@@ -28,7 +28,13 @@ from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.compensation.table import Anchor, CompensationTable, MeasuredRegion, Nodes, build_table, regular_nodes
-from twin.formats.estimate_file import VolumetricSection, format_estimate, pattern_document, step_document
+from twin.formats.estimate_file import (
+    VolumetricSection,
+    common_scale_document,
+    format_estimate,
+    pattern_document,
+    step_document,
+)
 from twin.identification import Estimate, Options, expected_rms, identify, identify_by_evidence, regional_forms
 from twin.identification.checks.measured_shape import check_shape
 from twin.identification.predicted import expected_vce, field_forms
@@ -84,6 +90,7 @@ class EstimationResult:
             "chi2_normalised": estimate.chi2_normalised,
             "step_in_run": step_document(estimate.step),
             "shift_pattern": pattern_document(estimate.pattern),
+            "common_scale": common_scale_document(estimate.common_scale),
             "rejected": [list(row) for row in estimate.rejected],
         }
 
@@ -91,7 +98,7 @@ class EstimationResult:
 NO_ESTIMATION: dict[str, object] = {
     **dict.fromkeys(("rank", "parameters", "estimated_ve_um", "estimated_ve_limits_um")),
     **dict.fromkeys(("predicted_vce_um", "predicted_vce_limits_um", "thermometer", "travel")),
-    **dict.fromkeys(("artefact_calibration", "chi2_normalised", "step_in_run", "shift_pattern")),
+    **dict.fromkeys(("artefact_calibration", "chi2_normalised", "step_in_run", "shift_pattern", "common_scale")),
     "rejected": [],
 }
 """JSON object of an estimation that was not made."""
