@@ -3,7 +3,7 @@
 A free artefact shows the scale of the machine minus that of the artefact: a strain ε of all balls and an additional
 slope ε of EXX, EYY and EZZ change the measurements in the same way. So an artefact that is ε longer than its file and
 its thermometer state looks like a machine whose three axes have the scale error -ε in common, and the table would
-write this error into the machine. What is observed is, for each axis, the sum
+write this error into the machine. What is observed is, for each axis, the difference
 
     q = s - a
 
@@ -33,7 +33,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from twin.arrays import Array
-from twin.artefact.certificate import best_known_length
+from twin.artefact.certificate import farthest_pairs
 from twin.identification.evidence import most_likely_scales
 from twin.identification.normal import NormalEquations, Posterior, PriorPrecision, Scales
 from twin.identification.problem import IdentificationProblem
@@ -61,8 +61,8 @@ class CommonScale:
     `false_alarm` is the largest probability of such a scale if these are right.
 
     One of the following errors alone would explain the scale; each is the stated or read value minus the true one.
-    `temperature_k` is the error of the artefact's temperature in K, `length_um` that of its length `length_mm`, and
-    `cte_per_k` that of its CTE in 1/K. A value is None if it explains nothing.
+    `temperature_k` is the error of the artefact's temperature in K, `length_um` that of the distance `length_mm` of the
+    two balls that are farthest apart, and `cte_per_k` that of its CTE in 1/K. A value is None if it explains nothing.
     """
 
     scale_um_per_m: float
@@ -77,7 +77,7 @@ class CommonScale:
 
     @property
     def text(self) -> str:
-        """The scale in words, with the values that would explain it."""
+        """The scale in words, with what was expected of it."""
         axes = ", ".join(f"E{axis}{axis} {value:+.1f}" for axis, value in zip(AXES, self.axes_um_per_m, strict=True))
         return (
             f"a common scale of {self.scale_um_per_m:+.1f} ± {self.standard_uncertainty_um_per_m:.1f} µm/m ({axes}); "
@@ -114,7 +114,8 @@ def common_scale(solution: Solution) -> CommonScale:
     axes = observed @ mean
     test = _MeanOfAxes.of(axes, before, before - after)
     errors = problem.unknowns.artefact
-    length_mm = best_known_length(errors.balls, errors.certificate @ errors.certificate.T).length_mm
+    first, last = farthest_pairs(errors.balls)[0]
+    length_mm = float(np.linalg.norm(errors.balls[last] - errors.balls[first]))
     warmer_k = float(problem.nuisance.warmer_k.mean())
     x, y, z = (_UM_PER_M * axes).tolist()
     return CommonScale(
