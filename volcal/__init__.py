@@ -1,9 +1,10 @@
 """volcal as a library: from measured ball centres to the errors of a machine tool, in a notebook or a script.
 
 The usual order of work is as follows. Read a machine, an artefact and ball centres. Identify the machine with
-`identify`, and call `predict` for the error at given axis positions with its covariance. Build a `compensation_table`
-and export it for a controller. Draw the error over the workspace with `error_map`. Without measurements, `design`
-chooses positions of the artefact, and `simulate` simulates a measurement.
+`identify`, and call `predict` for the error at given axis positions with its covariance, after removal of the rigid
+motion that no free artefact shows. Build a `compensation_table` and export it for a controller. Draw the error over the
+workspace with `error_map`. Without measurements, `design` chooses positions of the artefact, and `simulate` simulates a
+measurement.
 
 Lengths are in mm unless a name says otherwise. Points are axis positions, given as arrays of shape (n, 3) for n points.
 No object can be modified after its construction. Terms are defined in docs/reference/glossary.md.
@@ -38,9 +39,11 @@ if TYPE_CHECKING:
     from volcal.compensation import compensation_table as compensation_table
     from volcal.compensation import export_table as export_table
     from volcal.estimation import Prediction as Prediction
+    from volcal.estimation import RigidMotionUncertainty as RigidMotionUncertainty
     from volcal.estimation import VolumetricErrors as VolumetricErrors
     from volcal.estimation import identify as identify
     from volcal.estimation import predict as predict
+    from volcal.estimation import predict_unaligned as predict_unaligned
     from volcal.estimation import volumetric_errors as volumetric_errors
     from volcal.figures import error_map as error_map
     from volcal.files import read_artefact as read_artefact
@@ -77,7 +80,15 @@ _MODULES = {
         "write_table",
     ),
     "volcal.measuring_setup": ("MeasuringSetup", "case_study"),
-    "volcal.estimation": ("identify", "predict", "volumetric_errors", "Prediction", "VolumetricErrors"),
+    "volcal.estimation": (
+        "identify",
+        "predict",
+        "predict_unaligned",
+        "volumetric_errors",
+        "Prediction",
+        "RigidMotionUncertainty",
+        "VolumetricErrors",
+    ),
     "volcal.position_design": ("design", "evaluate", "Design"),
     "volcal.simulation": ("simulate", "Simulation"),
     "volcal.compensation": ("compensation_table", "export_table", "CONTROLLER_FORMATS"),

@@ -18,7 +18,8 @@ from twin.identification import identify as identify_model
 from twin.identification.checks.measured_shape import check_shape
 from twin.machine.forward_model import exact_deviation
 from twin.machine.machine_description import MachineDescription
-from twin.machine.volumetric import QuadraticForm, VolumetricRms, evaluation_grid
+from twin.machine.rigid_motion import rigid_fields
+from twin.machine.volumetric import QuadraticForm, VolumetricRms, evaluation_grid, rigid_part
 from twin.thermal.artefact_temperature import assumed_uncertainty_k
 
 AnyEstimate = Estimate | StoredEstimate
@@ -33,11 +34,15 @@ class Prediction:
     tool centre point. `covariance_mm2`, shape (3n, 3n), is the covariance of the difference between true and estimated
     error. The rows and columns of the covariance are ordered by point, and for each point in the order x, y, z. The
     covariance includes errors that the model cannot represent.
+
+    If `aligned` is True, the rigid motion that fits the error of the whole workspace best has been removed from true
+    and estimated error. If it is False, the covariance includes the stated uncertainty of this motion.
     """
 
     points_mm: Array
     error_mm: Array
     covariance_mm2: Array
+    aligned: bool
 
     @property
     def standard_uncertainty_mm(self) -> Array:
@@ -45,6 +50,25 @@ class Prediction:
         3).
         """
         return np.sqrt(np.maximum(np.diagonal(self.covariance_mm2), 0.0)).reshape(-1, 3)
+
+
+@dataclass(frozen=True)
+class RigidMotionUncertainty:
+    """Standard uncertainty of the rigid motion between the estimated and the true error of the whole workspace.
+
+    `translation_mm` applies to each of the three translations, and `rotation_rad` to each of the three rotations about
+    the middle of the workspace. Balls of an artefact whose pose is unknown cannot show this motion. It depends on how
+    the coordinate system in which the true error is stated was set. Raises DataError if a value is negative or not
+    finite.
+    """
+
+    translation_mm: float
+    rotation_rad: float
+
+    def __post_init__(self) -> None:
+        for value in (self.translation_mm, self.rotation_rad):
+            if not (np.isfinite(value) and value >= 0.0):
+                raise DataError(f"a standard uncertainty must be a finite number of at least 0, not {value:g}")
 
 
 @dataclass(frozen=True)
@@ -108,7 +132,12 @@ def _with_thermometer(options: Options, balls: BallFile) -> Options:
 
 
 def predict(estimate: Estimate, points_mm: ArrayLike, tool_offset_mm: ArrayLike | None = None) -> Prediction:
-    """Predict the error of the uncompensated machine, with its covariance, at n axis positions of shape (n, 3) in mm.
+    """Predict the aligned error of the uncompensated machine, with its covariance, at n axis positions of shape (n, 3)
+    in mm.
+
+    Aligned means that the rigid motion that fits the error of the whole workspace best has been removed, as it is
+    from every stated volumetric error. To compare a prediction with a true error, remove the rigid motion from the
+    latter too, or use `predict_unaligned`.
 
     The error is predicted for the centre point of the tool with the offset `tool_offset_mm`, shape (3,). If
     `tool_offset_mm` is None, the tool used in the measurement is taken. Raises DataError if `tool_offset_mm` is None
@@ -118,13 +147,56 @@ def predict(estimate: Estimate, points_mm: ArrayLike, tool_offset_mm: ArrayLike 
     >>> prediction.error_mm.shape, prediction.covariance_mm2.shape
     ((2, 3), (6, 6))
     """
-    points = as_points(points_mm, "points")
-    offset = tool_offset(estimate, tool_offset_mm)
+    points, offset = as_points(points_mm, "points"), tool_offset(estimate, tool_offset_mm)
+    grid = evaluation_grid(estimate.model.ranges_mm)
+    return Prediction(
+        points_mm=points,
+        error_mm=aligned_error(estimate, points, offset),
+        covariance_mm2=residual_covariance(estimate, points, offset, aligned_over=grid),
+        aligned=True,
+    )
+
+
+def predict_unaligned(
+    estimate: Estimate,
+    points_mm: ArrayLike,
+    rigid_motion: RigidMotionUncertainty,
+    tool_offset_mm: ArrayLike | None = None,
+) -> Prediction:
+    """Predict the error of the uncompensated machine without removal of a rigid motion, with its covariance, at n axis
+    positions of shape (n, 3) in mm.
+
+    The measurement does not show the rigid motion of the workspace: that of the estimate is a convention of the error
+    model, and a true machine has another one. Its uncertainty `rigid_motion` must therefore be stated; it is added to
+    the covariance. For the tool offset, see `predict`.
+
+    >>> stated = volcal.RigidMotionUncertainty(translation_mm=0.01, rotation_rad=10e-6)
+    >>> corner = [[4000.0, 1300.0, 1500.0]]
+    >>> unaligned, aligned = volcal.predict_unaligned(estimate, corner, stated), volcal.predict(estimate, corner)
+    >>> bool((unaligned.standard_uncertainty_mm > aligned.standard_uncertainty_mm).all())
+    True
+    """
+    points, offset = as_points(points_mm, "points"), tool_offset(estimate, tool_offset_mm)
+    middle = np.mean(estimate.model.ranges_mm, axis=1)
+    # in a frame of 1 mm, a rotation by 1 rad displaces a point at 1 mm from its axis by 1 mm
+    motions = rigid_fields(points, middle, 1.0).reshape(-1, 6)
+    variance = np.repeat(np.square([rigid_motion.translation_mm, rigid_motion.rotation_rad]), 3)
     return Prediction(
         points_mm=points,
         error_mm=exact_deviation(estimate.model, points, offset, estimate.parameters),
-        covariance_mm2=residual_covariance(estimate, points, offset),
+        covariance_mm2=residual_covariance(estimate, points, offset) + (motions * variance) @ motions.T,
+        aligned=False,
     )
+
+
+def aligned_error(estimate: Estimate, points: Array, offset: Array) -> Array:
+    """Return the estimated error (n, 3) in mm of the uncompensated machine at axis positions `points` (n, 3), for the
+    tool offset `offset` (3,), after removal of the rigid motion that fits the error of the whole workspace best."""
+    grid = evaluation_grid(estimate.model.ranges_mm)
+    at_points, everywhere = (
+        exact_deviation(estimate.model, positions, offset, estimate.parameters) for positions in (points, grid)
+    )
+    return at_points - rigid_part(grid + offset, everywhere, points + offset)
 
 
 def volumetric_errors(estimate: Estimate, tool_offset_mm: ArrayLike | None = None) -> VolumetricErrors:

@@ -11,9 +11,8 @@ from numpy.typing import ArrayLike
 from twin.arrays import Array
 from twin.identification import Estimate, field_uncertainty
 from twin.machine.error_model import ErrorModel
-from twin.machine.forward_model import exact_deviation
-from twin.machine.volumetric import evaluation_grid, rigid_part
-from volcal.estimation import tool_offset
+from twin.machine.volumetric import evaluation_grid
+from volcal.estimation import aligned_error, tool_offset
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,12 +46,8 @@ def error_map(
     points = _planes(model, heights)
     grid = evaluation_grid(model.ranges_mm)
     # The rigid motion is that of the grid on which every volumetric error is stated.
-    deviation, everywhere = (
-        exact_deviation(model, positions, offset, estimate.parameters) for positions in (points, grid)
-    )
-    aligned = deviation - rigid_part(grid + offset, everywhere, points + offset)
     rows = (
-        ("estimated / µm", aligned),
+        ("estimated / µm", aligned_error(estimate, points, offset)),
         ("remaining / µm", field_uncertainty(estimate, points, offset, aligned_over=grid)),
     )
     figure = Figure(figsize=(WIDTH_IN, _height_in(model, len(heights))), layout="constrained")

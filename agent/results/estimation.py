@@ -18,7 +18,7 @@ from agent.probing.position import MeasuredBall
 from agent.results.artefact_calibration import calibration_record
 from agent.results.facts import Quantity, VolumetricSummary
 from agent.results.observations import Correction, ReferenceArtefact, observations_of, position_numbers, positions_named
-from agent.results.travel_parts import Limits, TravelPart, TravelParts
+from agent.results.travel_parts import TravelPart, TravelParts
 from agent.settings.schema import IdentificationSettings, Order, TableSettings
 from agent.settings.temperature import TemperatureSettings
 from agent.thermal.machine_drift import RunDrift, run_drift, thermal_options
@@ -28,7 +28,13 @@ from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.compensation.table import Anchor, CompensationTable, MeasuredRegion, Nodes, build_table, regular_nodes
-from twin.formats.estimate_file import VolumetricSection, format_estimate, pattern_document, step_document
+from twin.formats.estimate_file import (
+    VolumetricSection,
+    common_scale_document,
+    format_estimate,
+    pattern_document,
+    step_document,
+)
 from twin.identification import Estimate, Options, expected_rms, identify, identify_by_evidence, regional_forms
 from twin.identification.checks.measured_shape import check_shape
 from twin.identification.predicted import expected_vce, field_forms
@@ -36,7 +42,6 @@ from twin.machine.error_model import ErrorModel
 from twin.machine.machine_description import MachineDescription
 from twin.machine.volumetric import QuadraticForm, evaluation_grid
 from twin.uncertainty.thermometer_effect import thermometer_effect
-from twin.uncertainty.volumetric_distribution import regional_limits
 from twin.uncertainty.volumetric_limits import limits_of_form
 from twin.units import UM_PER_MM
 
@@ -85,6 +90,7 @@ class EstimationResult:
             "chi2_normalised": estimate.chi2_normalised,
             "step_in_run": step_document(estimate.step),
             "shift_pattern": pattern_document(estimate.pattern),
+            "common_scale": common_scale_document(estimate.common_scale),
             "rejected": [list(row) for row in estimate.rejected],
         }
 
@@ -92,7 +98,7 @@ class EstimationResult:
 NO_ESTIMATION: dict[str, object] = {
     **dict.fromkeys(("rank", "parameters", "estimated_ve_um", "estimated_ve_limits_um")),
     **dict.fromkeys(("predicted_vce_um", "predicted_vce_limits_um", "thermometer", "travel")),
-    **dict.fromkeys(("artefact_calibration", "chi2_normalised", "step_in_run", "shift_pattern")),
+    **dict.fromkeys(("artefact_calibration", "chi2_normalised", "step_in_run", "shift_pattern", "common_scale")),
     "rejected": [],
 }
 """JSON object of an estimation that was not made."""
@@ -311,25 +317,23 @@ def travel_parts(estimate: Estimate, tool_offset: Array, measured: Array) -> Tra
     inside = MeasuredRegion.around(measured).contains(grid)
     forms = regional_forms(estimate, grid, inside, tool_offset)
     share = float(inside.mean())
-    known = [(form, part) for form, part in zip(forms, (share, 1.0 - share), strict=True) if form is not None]
-    limits = iter(regional_limits(estimate, [form for form, _ in known]))
-    parts = iter([_travel_part(estimate, form, part, *next(limits)) for form, part in known])
-    first, second = (None if form is None else next(parts) for form in forms)
+    first, second = (
+        None if form is None else _travel_part(estimate, form, part)
+        for form, part in zip(forms, (share, 1.0 - share), strict=True)
+    )
     return TravelParts(first, second)
 
 
-def _travel_part(estimate: Estimate, form: Array, share: float, ve_mm: Limits, vce_mm: Limits) -> TravelPart:
-    size = estimate.model.size
-    square = float(estimate.parameters @ form[:size, :size] @ estimate.parameters)
+def _travel_part(estimate: Estimate, form: Array, share: float) -> TravelPart:
+    """Return the volumetric error in the part of the travel with the quadratic form `form` (p + q, p + q) in mm², as
+    `volumetric_summary` computes it for the whole travel."""
+    size, limits = estimate.model.size, limits_of_form(estimate, form)
+    corrected = float(estimate.parameters @ form[:size, :size] @ estimate.parameters)
     return TravelPart(
         share=share,
-        estimated_ve_um=UM_PER_MM * float(np.sqrt(max(square, 0.0))),
-        estimated_ve_limits_um=_in_um(ve_mm),
+        estimated_ve_um=limits.expected_ve_um,
+        estimated_ve_limits_um=limits.ve_um,
+        table_ve_um=UM_PER_MM * float(np.sqrt(max(corrected, 0.0))),
         predicted_vce_um=UM_PER_MM * expected_rms(estimate, form),
-        predicted_vce_limits_um=_in_um(vce_mm),
+        predicted_vce_limits_um=limits.vce_um,
     )
-
-
-def _in_um(limits_mm: Limits) -> Limits:
-    lower, upper = limits_mm
-    return UM_PER_MM * lower, UM_PER_MM * upper

@@ -24,6 +24,7 @@ from agent.results.estimation import table_grid
 from agent.results.gates import (
     CERTIFICATE,
     CHANGE,
+    COMMON_SCALE,
     GATE_RULES,
     NIGHT,
     PATTERN,
@@ -155,6 +156,7 @@ class _Design:
             self._certificate(limits.max_certificate_sigma),
             Gate(STEP, True, 1.0, limits.step_false_alarm, "probability bound of a machine that does not change"),
             Gate(PATTERN, True, 1.0, limits.pattern_false_alarm, "probability bound of balls that are not shifted"),
+            self._common_scale(),
             self._change(),
             Gate(NIGHT, limits.night_false_alarm <= 0.5, 0.5, limits.night_false_alarm, "probability of a night"),
         )
@@ -180,6 +182,10 @@ class _Design:
         value = math.sqrt(float(chdtri(3.0, -math.expm1(-math.log(2.0) / balls)))) if balls else 0.0
         text = f"largest contradiction of {balls} right balls with their certificate, in standard deviations"
         return Gate(CERTIFICATE, value <= limit, value, limit, text)
+
+    def _common_scale(self) -> Gate:
+        text = "probability bound of a machine and an artefact as stated"
+        return Gate(COMMON_SCALE, True, 1.0, self.job.gate_limits.common_scale_false_alarm, text)
 
     def _change(self) -> Gate:
         gate = change_gate(1.0, 1.0, self.job.gate_limits)

@@ -18,7 +18,7 @@ from agent.settings.schema import GateSettings
 from drivers.errors import InputError
 from drivers.roles import StoreLimits
 from twin.compensation.table import CompensationTable
-from twin.identification import BallCheck, Estimate, PatternTest, StepInRun
+from twin.identification import BallCheck, CommonScale, Estimate, PatternTest, StepInRun
 from twin.units import UM_PER_MM
 
 CHANGE = "change"
@@ -36,6 +36,9 @@ STEP = "step in run"
 
 PATTERN = "pattern"
 """Name of the gate for shifts of the balls that follow a pattern over all positions, such as lost motion."""
+
+COMMON_SCALE = "common scale"
+"""Name of the gate for the scale that all axes have in common relative to the artefact."""
 
 PROBE, PROOF, PROOF_FIT = "probe", "proof", "proof fit"
 """Names of limits that a run meets elsewhere: the check of the probe, and the proof of the new table."""
@@ -65,6 +68,7 @@ GATE_RULES: Mapping[str, GateRule] = {
     ),
     STEP: GateRule("gates.step_false_alarm", "lower the limit, which is a probability"),
     PATTERN: GateRule("gates.pattern_false_alarm", "lower the limit, which is a probability"),
+    COMMON_SCALE: GateRule("gates.common_scale_false_alarm", "lower the limit, which is a probability"),
     CHANGE: GateRule("gates.max_change", "raise the limit; an unchanged machine reaches this value"),
     NIGHT: GateRule("gates.night_false_alarm", "lower the limit; a night that fits reaches this probability"),
     "correction": GateRule("gates.max_correction_um", _FAMILY),
@@ -98,7 +102,12 @@ SHIFTED = (
     "correct it at its cause (the reversal error of an axis, its counterweight, `sag_um` in the artefact file), and "
     "measure again"
 )
-"""Remedies for gates that a run did not pass: for the gates `CERTIFICATE`, `STEP` and `PATTERN`, and for all others."""
+SCALE_CHECKED = (
+    "check the thermometer on the artefact, its certified length and its CTE, and measure again; if it is the machine "
+    "that has this scale, for example because it is warm, widen `positioning_um` of `model.family` in the machine file"
+)
+"""Remedies for gates that a run did not pass: for the gates `CERTIFICATE`, `STEP`, `PATTERN` and `COMMON_SCALE`, and
+for all others."""
 
 
 @dataclass(frozen=True)
@@ -116,15 +125,16 @@ class Gate:
 
 
 def estimate_gates(estimate: Estimate, limits: GateSettings) -> tuple[Gate, ...]:
-    """Return the five gates (limits) for the estimate: the fit of the residuals, the number of redundant measurements,
-    the agreement of the balls with their certificate, a machine that did not change in the run, and balls that are not
-    shifted by a pattern."""
+    """Return the six gates (limits) for the estimate: the fit of the residuals, the number of redundant measurements,
+    the agreement of the balls with their certificate, a machine that did not change in the run, balls that are not
+    shifted by a pattern, and a common scale that machine and artefact may have."""
     return (
         fit_gate(estimate.chi2_normalised, limits),
         redundancy_gate(estimate.degrees_of_freedom, limits),
         certificate_gate(estimate.certificate_check, limits),
         step_gate(estimate.step, limits),
         pattern_gate(estimate.pattern, limits),
+        common_scale_gate(estimate.common_scale, limits),
     )
 
 
@@ -207,6 +217,27 @@ def pattern_gate(pattern: PatternTest | None, limits: GateSettings) -> Gate:
     return _gate_of_test(PATTERN, pattern, limits.pattern_false_alarm, untested, clear)
 
 
+def common_scale_gate(scale: CommonScale | None, limits: GateSettings) -> Gate:
+    """Return the gate (limit) for the scale that all axes have in common relative to the artefact: the probability of
+    such a scale, at most, if the family of the machine and the stated uncertainties of the artefact are right. The text
+    names the errors of the artefact that would explain the scale.
+
+    `scale` is None if the scale was not tested.
+    """
+    limit = limits.common_scale_false_alarm
+    if scale is None:
+        return Gate(COMMON_SCALE, True, 1.0, limit, "the common scale of the axes was not tested")
+    passed = scale.false_alarm >= limit
+    clear = f"probability of such a scale, at most, for a machine and an artefact as stated: {scale.text}"
+    return Gate(
+        COMMON_SCALE,
+        passed,
+        scale.false_alarm,
+        limit,
+        clear if passed else f"{scale.text}; explained by {scale.causes}",
+    )
+
+
 def _gate_of_test(
     name: str, test: StepInRun | PatternTest | None, limit: float, untested: str, clear: str, alarm: str = ""
 ) -> Gate:
@@ -251,7 +282,7 @@ def table_gates(
     return (
         *shape_gates(table, store, limits),
         extrapolation_gate(float(np.mean(table.extrapolated)), limits),
-        unmeasured_gate(*((0.0, 0.0) if part is None else (part.estimated_ve_um, part.predicted_vce_um)), limits),
+        unmeasured_gate(*((0.0, 0.0) if part is None else (part.table_ve_um, part.predicted_vce_um)), limits),
     )
 
 
@@ -335,7 +366,12 @@ def require_passed(gates: Sequence[Gate], consent: str = "") -> None:
     `consent`, a sentence on what to do otherwise."""
     if names_of_failed(gates):
         failed = names_of_failed(gates)
-        remedies = {CERTIFICATE: BETTER_CERTIFICATE, STEP: MACHINE_CHANGED, PATTERN: SHIFTED}
+        remedies = {
+            CERTIFICATE: BETTER_CERTIFICATE,
+            STEP: MACHINE_CHANGED,
+            PATTERN: SHIFTED,
+            COMMON_SCALE: SCALE_CHECKED,
+        }
         remedy = next((text for name, text in remedies.items() if name in failed), MORE_POSITIONS)
         raise GateRefused(f"no table was written: {reasons(gates)}", hint=f"{remedy}{consent}")
 

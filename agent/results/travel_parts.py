@@ -17,16 +17,19 @@ Limits = tuple[float, float]
 class TravelPart:
     """Volumetric error in one part of the travel, in µm.
 
-    `share` is the part's share of the grid points of the whole travel. `estimated_ve_um` is the volumetric error (VE)
-    without compensation according to the estimate, and `predicted_vce_um` is the volumetric compensated error (VCE)
-    expected with the table active. The best-fitting rigid motion of the whole travel has been removed from both, so
-    that the squares of the two parts, weighted by their shares, add up to the square of the whole travel. The limits
-    are those of the 95 % intervals.
+    `share` is the part's share of the grid points of the whole travel. The other values are those of the whole travel
+    (`VolumetricSummary`), taken over this part: `estimated_ve_um` is the volumetric error (VE) expected without
+    compensation, which contains the errors that were not determined; `table_ve_um` is that of the estimated parameters
+    alone, which the table corrects; and `predicted_vce_um` is the volumetric compensated error (VCE) expected with the
+    table active. The best-fitting rigid motion of the whole travel has been removed from all of them, so that the
+    squares of the two parts, weighted by their shares, add up to the square of the whole travel. The limits are those
+    of the 95 % intervals.
     """
 
     share: float
     estimated_ve_um: float
     estimated_ve_limits_um: Limits
+    table_ve_um: float
     predicted_vce_um: float
     predicted_vce_limits_um: Limits
 

@@ -212,6 +212,7 @@ class GateSettings(StrictModel):
     max_certificate_sigma: PositiveFloat = 5.0
     step_false_alarm: float = Field(default=0.01, gt=0.0, lt=1.0)
     pattern_false_alarm: float = Field(default=0.01, gt=0.0, lt=1.0)
+    common_scale_false_alarm: float = Field(default=0.01, gt=0.0, lt=1.0)
     allow_extrapolation: bool = True
     max_unmeasured_fraction: float = Field(default=1.0, gt=0.0, le=10.0)
 

@@ -26,7 +26,14 @@ import numpy as np
 
 from agent.results.gates import estimate_gates, names_of_failed
 from agent.settings.schema import GateSettings
-from campaigns.foreign.artefact import S3, STATIONS_MM, ForeignBar, measure_at, tilted_bar
+from campaigns.foreign.artefact import (
+    S3,
+    STATIONS_MM,
+    ForeignBar,
+    MeasuringConditions,
+    measure_at,
+    tilted_bar,
+)
 from campaigns.foreign.machine import GRID, TOOL, ForeignMachine, foreign_machine
 from campaigns.foreign.score import family_of, true_error_um
 from campaigns.foreign.trials import SETS, Places, places_of
@@ -95,6 +102,12 @@ def sag(machine: ForeignMachine, bar: ForeignBar, places: Places, seed: int, *, 
     return Measurement(replace(seen, axis_positions=seen.axis_positions + hanging[:, None] * across), machine)
 
 
+def misread(machine: ForeignMachine, bar: ForeignBar, places: Places, seed: int, *, error_k: float) -> Measurement:
+    """Let the thermometer of the bar read `error_k` too high."""
+    conditions = MeasuringConditions(thermometer_error_k=error_k)
+    return Measurement(measure_at(machine, bar, places, np.random.default_rng(seed), conditions).seen, machine)
+
+
 def joined(first: Observations, last: Observations) -> Observations:
     """Return the rows of both observations, which have the same tools."""
     assert first.azimuth_rad is not None
@@ -122,6 +135,9 @@ FAULTS: Mapping[str, Fault] = {
     "side-x": partial(play_by_side, axis=0),
     "side-y": partial(play_by_side, axis=1),
     "sag-20": partial(sag, ends_mm=0.02),
+    "thermometer-0.5": partial(misread, error_k=0.5),
+    "thermometer-1": partial(misread, error_k=1.0),
+    "thermometer-2": partial(misread, error_k=2.0),
 }
 
 

@@ -7,13 +7,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from agent.results.estimation import travel_parts
+from agent.results.estimation import travel_parts, volumetric_summary
+from agent.results.facts import VolumetricSummary
 from agent.results.travel_parts import TravelPart, TravelParts
 from campaigns.foreign.artefact import S3, measure, tilted_bar
 from campaigns.foreign.machine import TOOL, foreign_machine
 from campaigns.foreign.score import family_of
 from twin.compensation.table import MeasuredRegion
-from twin.identification import Options, identify_by_evidence, predicted_vce
+from twin.identification import Options, identify_by_evidence
 from twin.machine.forward_model import exact_deviation
 from twin.machine.volumetric import align_rigidly, evaluation_grid
 
@@ -21,8 +22,8 @@ SEEDS = range(12)
 
 
 @cache
-def parts_and_truth(seed: int) -> tuple[TravelParts, float, tuple[float, float]]:
-    """Return the stated parts, the predicted error of the whole travel, and the true errors inside and outside the
+def parts_and_truth(seed: int) -> tuple[TravelParts, VolumetricSummary, tuple[float, float]]:
+    """Return the stated parts, the stated errors of the whole travel, and the true errors inside and outside the
     measured region after compensation, all in µm."""
     rng = np.random.default_rng(seed)
     machine, bar = foreign_machine(rng), tilted_bar(rng)
@@ -34,7 +35,7 @@ def parts_and_truth(seed: int) -> tuple[TravelParts, float, tuple[float, float]]
     squares = 1e6 * np.square(align_rigidly(grid + TOOL, left)).sum(axis=1)
     true_um = float(np.sqrt(squares[inside].mean())), float(np.sqrt(squares[~inside].mean()))
     stated = travel_parts(estimate, TOOL, seen.axis_positions)
-    return stated, predicted_vce(estimate, grid, TOOL).aligned_um, true_um
+    return stated, volumetric_summary(estimate, TOOL), true_um
 
 
 def both(parts: TravelParts) -> tuple[TravelPart, TravelPart]:
@@ -64,7 +65,12 @@ def test_less_is_known_where_no_ball_was() -> None:
 
 
 def test_the_parts_add_up_to_the_whole() -> None:
-    stated, whole_um, _ = parts_and_truth(0)
-    squares = sum(part.share * part.predicted_vce_um**2 for part in both(stated))
-    assert np.sqrt(squares) == pytest.approx(whole_um, rel=1e-9)
+    stated, whole, _ = parts_and_truth(0)
+    for name, whole_um in (
+        ("estimated_ve_um", whole.before_aligned.value_um),
+        ("table_ve_um", whole.table_ve_um),
+        ("predicted_vce_um", whole.after_aligned.value_um),
+    ):
+        squares = sum(part.share * getattr(part, name) ** 2 for part in both(stated))
+        assert np.sqrt(squares) == pytest.approx(whole_um, rel=1e-6), name
     assert sum(part.share for part in both(stated)) == pytest.approx(1.0)

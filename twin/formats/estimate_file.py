@@ -21,7 +21,16 @@ from twin.errors import FormatError, TwinError
 from twin.formats.json_reading import read_json
 from twin.formats.prior_section import CarriedOverSection, carried_over_document, read_moments, read_unknowns
 from twin.formats.toml_reading import StrictModel
-from twin.identification import BallCheck, CarriedOverPrior, DriftFactor, Estimate, PatternTest, Scales, StepInRun
+from twin.identification import (
+    BallCheck,
+    CarriedOverPrior,
+    CommonScale,
+    DriftFactor,
+    Estimate,
+    PatternTest,
+    Scales,
+    StepInRun,
+)
 from twin.identification.unknowns import Unknowns
 from twin.machine.error_model import ErrorModel
 from twin.machine.kinematic_chain import parse_chain
@@ -160,6 +169,25 @@ class PatternSection(StrictModel):
     suspects: tuple[ShiftPatternSection, ...]
 
 
+class CommonScaleSection(StrictModel):
+    """Result of the test of the scale that all axes have in common, in an estimate file. `false_alarm` is the largest
+    probability of such a scale if the family of the machine and the stated uncertainties of the artefact are right.
+
+    The last four values are the errors (stated or read minus true value) of which each alone would explain the scale;
+    None if it explains nothing.
+    """
+
+    scale_um_per_m: float
+    standard_uncertainty_um_per_m: float = Field(ge=0.0)
+    expected_um_per_m: float = Field(ge=0.0)
+    axes_um_per_m: Triple
+    false_alarm: float = Field(ge=0.0, le=1.0)
+    temperature_k: float | None
+    length_um: float
+    length_mm: float
+    cte_per_k: float | None
+
+
 class VolumetricSection(StrictModel):
     """Volumetric errors over the workspace in µm for the tool of the table, after removal of the best-fitting rigid
     motion.
@@ -198,6 +226,7 @@ class EstimateFile(StrictModel):
     certificate: tuple[CertificateSection, ...]
     step_in_run: StepSection | None = None
     shift_pattern: PatternSection | None = None
+    common_scale: CommonScaleSection | None = None
     artefact_calibration: dict[str, Any] | None
     volumetric: VolumetricSection | None
     carried_over: CarriedOverSection
@@ -281,6 +310,7 @@ def format_estimate(
         "certificate": certificate_document(estimate.certificate_check),
         "step_in_run": step_document(estimate.step),
         "shift_pattern": pattern_document(estimate.pattern),
+        "common_scale": common_scale_document(estimate.common_scale),
         "artefact_calibration": calibration_document(estimate.artefact_calibration),
         "volumetric": None if volumetric is None else volumetric.model_dump(),
         "carried_over": carried_over_document(
@@ -333,6 +363,11 @@ def pattern_document(pattern: PatternTest | None) -> dict[str, Any] | None:
         return None
     suspects = [{"text": one.text, "size_um": one.size_um, "probability": one.probability} for one in pattern.suspects]
     return {"false_alarm": pattern.false_alarm, "suspects": suspects}
+
+
+def common_scale_document(scale: CommonScale | None) -> dict[str, Any] | None:
+    """Return the result of the test of the common scale of all axes as a JSON object, or None if it was not tested."""
+    return None if scale is None else {**asdict(scale), "axes_um_per_m": list(scale.axes_um_per_m)}
 
 
 def calibration_document(calibration: ArtefactCalibration | None) -> dict[str, Any] | None:

@@ -1,6 +1,7 @@
 """Identification of the error model that is used for compensation, from measured ball centres."""
 
 from twin.identification.checks.certificate_check import BallCheck
+from twin.identification.checks.common_scale import CommonScale
 from twin.identification.checks.shift_pattern import PatternTest
 from twin.identification.checks.step_in_run import StepInRun
 from twin.identification.estimate import Estimate, Misfit
@@ -24,6 +25,7 @@ from twin.identification.scales import Scales
 __all__ = [
     "BallCheck",
     "CarriedOverPrior",
+    "CommonScale",
     "DriftFactor",
     "Estimate",
     "FieldKnowledge",

@@ -12,6 +12,7 @@ from twin.arrays import Array
 from twin.artefact.artefact_calibration import ArtefactCalibration
 from twin.identification.alternatives import Alternative
 from twin.identification.checks.certificate_check import BallCheck, check_certificate
+from twin.identification.checks.common_scale import CommonScale
 from twin.identification.checks.shift_pattern import PatternTest
 from twin.identification.checks.step_in_run import StepInRun
 from twin.identification.evidence import OrderEvidence, scales_at_bounds
@@ -67,7 +68,8 @@ class Estimate:
     `free_balls` contains the balls whose certified centres contradict the measurements; the estimate does not use these
     centres. `step` is the result of the test for a sudden change of the machine during the measurement; it is None if
     the measurements were used unchecked. `pattern` is the result of the test for shifts that follow a pattern over all
-    positions; None likewise.
+    positions; None likewise. `common_scale` is the result of the test of the scale that all axes have in common; None
+    likewise, or if an estimate was carried over.
     """
 
     model: ErrorModel
@@ -92,6 +94,7 @@ class Estimate:
     free_balls: tuple[int, ...] = ()
     step: StepInRun | None = None
     pattern: PatternTest | None = None
+    common_scale: CommonScale | None = None
 
     def carried_over(self, process_noise: ArrayLike | None = None, nights: float = 1.0) -> CarriedOverPrior:
         """Return this estimate as the prior of an estimate made `nights` nights later.

@@ -13,6 +13,7 @@ from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.errors import DataError, PositionError, SingularSet
 from twin.identification.alternatives import Alternative
+from twin.identification.checks.common_scale import CommonScale, common_scale
 from twin.identification.checks.mirrored_artefact import refuse_mirrored
 from twin.identification.checks.outliers import Rows, WhitenedResiduals, contradicting_rows, studentised_residuals
 from twin.identification.checks.shift_pattern import PatternTest, shift_patterns
@@ -287,6 +288,7 @@ def _estimate(whole: IdentificationProblem, selection: _RowSelection, options: O
         free_balls=() if options.weights == "unit" else selection.free,
         step=findings.step,
         pattern=findings.pattern,
+        common_scale=findings.common_scale,
     )
 
 
@@ -301,12 +303,14 @@ class _Findings:
 
     step: StepInRun | None = None
     pattern: PatternTest | None = None
+    common_scale: CommonScale | None = None
 
 
 def _findings(
     whole: IdentificationProblem, selection: _RowSelection, solution: Solution, options: Options
 ) -> _Findings:
-    """Test the set for a sudden change of the machine and for a pattern of shifts."""
+    """Test the set for a sudden change of the machine and for a pattern of shifts, and the common scale of the axes
+    against the family. An estimate that is carried over contains its own common scale, so there is none to test."""
     if options.outliers == "none":
         return _Findings()
     screening = _screening(options)
@@ -318,6 +322,7 @@ def _findings(
     return _Findings(
         step_in_run(solution, residuals, measured, tool_offset),
         shift_patterns(solution.equations.problem, residuals, measured),
+        common_scale(solution) if options.carried_over is None else None,
     )
 
 

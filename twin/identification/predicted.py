@@ -74,12 +74,21 @@ def field_uncertainty(
     return np.sqrt(np.maximum(squares, 0.0) + unresolved_variance(estimate))
 
 
-def residual_covariance(estimate: FieldKnowledge, points: ArrayLike, tool_offset: ArrayLike) -> Array:
+def residual_covariance(
+    estimate: FieldKnowledge, points: ArrayLike, tool_offset: ArrayLike, aligned_over: ArrayLike | None = None
+) -> Array:
     """Return the expected outer product (3n, 3n) in mm² of the true minus the modelled tool point deviation at axis
-    positions (n, 3). Rows and columns are ordered point by point, with x, y and z of each point in this order."""
-    grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
+    positions (n, 3). Rows and columns are ordered point by point, with x, y and z of each point in this order.
+
+    If `aligned_over` (m, 3) is given, the best-fitting rigid motion over these m axis positions is removed first.
+    """
+    at, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     moments = _second_moments(estimate)
-    columns = field_columns(estimate, grid, offset).reshape(-1, len(moments))
+    field = field_columns(estimate, at, offset)
+    if aligned_over is not None:
+        grid = as_points(aligned_over, "points of the alignment")
+        field = field - _motions_about(grid, offset)(at) @ _sums(estimate, grid, offset).share
+    columns = field.reshape(-1, len(moments))
     return np.asarray(columns @ moments @ columns.T) + unresolved_variance(estimate) * np.eye(len(columns))
 
 

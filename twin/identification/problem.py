@@ -44,10 +44,12 @@ class Nuisance:
     """Errors of the artefact, and their effect on the n rows (measured ball centres).
 
     `strain_rows` (n, s) is the strain of the artefact in each row per unit of each of the s thermal unknowns.
+    `warmer_k` (n,) is the temperature of the artefact in each row minus the reference temperature, in K.
     """
 
     errors: ArtefactErrors
     strain_rows: Array
+    warmer_k: Array
 
     def displacement(self, ball: np.ndarray[Any, Any], z_certificate: Array, z_strain: Array) -> Array:
         """Return the displacement (n, 3) in mm of the balls with the numbers `ball` (n,), in the artefact's own frame.
@@ -59,6 +61,10 @@ class Nuisance:
         if z_strain.size:
             change += self.errors.balls[ball] * (self.strain_rows @ z_strain)[:, None]
         return change
+
+    def with_rows(self, accepted: np.ndarray[Any, Any]) -> Nuisance:
+        """Return the effect on the rows that the mask `accepted` (n,) marks."""
+        return replace(self, strain_rows=self.strain_rows[accepted], warmer_k=self.warmer_k[accepted])
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +156,7 @@ class IdentificationProblem:
         layout = RowLayout.of(self.observations.position[accepted])
         local = self.local[accepted]
         seen = self.observations.select(accepted)
-        nuisance = replace(self.nuisance, strain_rows=self.nuisance.strain_rows[accepted])
+        nuisance = self.nuisance.with_rows(accepted)
         used = np.unique(self.observations.position, return_inverse=True)[1][accepted]
         alive = np.unique(used)
         poses = Poses(self.poses.rotation[alive], self.poses.translation[alive])
@@ -190,7 +196,7 @@ def build_problem(
         poses = rigid_poses(layout, local, points - sag, lines, nominal)
     unknowns = unknowns_of(family, artefact, seen, options)
     warmer_k = seen.temperature_c - artefact.reference_temperature_c
-    nuisance = Nuisance(unknowns.artefact, unknowns.artefact.strain_rows(warmer_k))
+    nuisance = Nuisance(unknowns.artefact, unknowns.artefact.strain_rows(warmer_k), warmer_k)
     design = _design(unknowns, nuisance, seen, layout, poses)
     return IdentificationProblem(
         unknowns=unknowns,

@@ -9,7 +9,6 @@ Each possible pair of mean and covariance is equally probable.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,8 +23,6 @@ from twin.machine.volumetric import VolumetricRms
 from twin.uncertainty.quadratic_distribution import QuadraticDistribution, root_between
 from twin.uncertainty.scale_mixture import MixtureComponent, mixture_components
 
-Limits = tuple[float, float]
-"""Lower and upper limit of a volumetric error in mm."""
 _LEAST_SPREAD = 1e-9  # relative standard deviation below which rounding decides
 
 
@@ -134,32 +131,6 @@ def volumetric_distributions(estimate: Estimate, points: ArrayLike, tool_offset:
         for which in (0, 1)
     )
     return VolumetricDistributions(ve, vce)
-
-
-def regional_limits(
-    estimate: Estimate, forms: Sequence[Array], coverage: float = 0.95
-) -> tuple[tuple[Limits, Limits], ...]:
-    """Return the limits of the volumetric error without and with compensation, for each of several parts of the
-    workspace.
-
-    The limits are those of the equal-tailed interval with the given coverage. `forms` contains the quadratic form of
-    each part, as `twin.identification.regional_forms` returns it. The distributions are those of
-    `volumetric_distributions`, restricted to the part.
-    """
-    written = np.zeros(_size(estimate))
-    written[: estimate.model.size] = estimate.parameters
-    likely, tail = mixture_components(estimate), 0.5 * (1.0 - coverage)
-    found = []
-    for form in forms:
-        pairs = [_both(form, one, written) for one in likely]
-        ve, vce = (QuadraticMixture(tuple(pair[which] for pair in pairs)) for which in (0, 1))
-        found.append((_rms_limits(ve, tail), _rms_limits(vce, tail)))
-    return tuple(found)
-
-
-def _rms_limits(squares: QuadraticMixture, tail: float) -> Limits:
-    lower, upper = (math.sqrt(max(squares.quantile(at), 0.0)) for at in (tail, 1.0 - tail))
-    return lower, upper
 
 
 def _both(form: Array, one: MixtureComponent, written: Array) -> tuple[QuadraticDistribution, ...]:

@@ -68,7 +68,7 @@ def test_extrapolation_can_be_forbidden() -> None:
 def test_corrections_outside_the_measured_region_must_exceed_their_uncertainty() -> None:
     flat = table(np.zeros((2, 2, 2, 3)), outside=True)
     for left_um, passed in ((9.99, True), (10.01, False)):
-        outside = TravelPart(0.4, 10.0, (5.0, 15.0), left_um, (5.0, 15.0))
+        outside = TravelPart(0.4, math.hypot(10.0, left_um), (5.0, 15.0), 10.0, left_um, (5.0, 15.0))
         assert verdicts(flat, travel=TravelParts(None, outside))["unmeasured"] is passed
 
 

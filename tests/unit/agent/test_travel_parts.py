@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import json
 from functools import cache
+from itertools import product
 
 import numpy as np
 import pytest
 
 from agent.cli.printing import travel_rows
 from agent.planning.case_file import CASE_STUDY, load_case
-from agent.results.estimation import travel_parts
+from agent.results.estimation import travel_parts, volumetric_summary
 from agent.results.travel_parts import TravelPart, TravelParts
 from twin.compensation.table import MeasuredRegion
 from twin.design.measurement_setup import AS_STATED
 from twin.identification import Estimate, expected_rms, field_uncertainty, identify, predicted_vce, regional_forms
-from twin.machine.volumetric import QuadraticForm, evaluation_grid
+from twin.machine.volumetric import evaluation_grid
 
-PART = TravelPart(0.6, 7.9, (7.1, 8.8), 1.7, (1.2, 2.4))
+PART = TravelPart(0.6, 7.9, (7.1, 8.8), 7.7, 1.7, (1.2, 2.4))
 COARSE = (9, 5, 5)
 
 
@@ -49,13 +50,37 @@ def test_both_parts_add_up_to_the_whole_travel() -> None:
     both = (parts.measured, parts.unmeasured)
     grid = evaluation_grid(estimate.model.ranges_mm)
     assert parts.measured.share == pytest.approx(MeasuredRegion.around(measured).contains(grid).mean())
-    whole = predicted_vce(estimate, grid, offset).aligned_um
-    assert np.sqrt(sum(part.share * part.predicted_vce_um**2 for part in both)) == pytest.approx(whole, rel=1e-9)
-    before = QuadraticForm.build(estimate.model, grid, offset).value(estimate.parameters).aligned_um
-    assert np.sqrt(sum(p.share * p.estimated_ve_um**2 for p in both)) == pytest.approx(before, rel=1e-6, abs=1e-9)
+    whole = volumetric_summary(estimate, offset)
+    assert whole.after_aligned.value_um == pytest.approx(predicted_vce(estimate, grid, offset).aligned_um, rel=1e-9)
+    for name, expected_um in (
+        ("estimated_ve_um", whole.before_aligned.value_um),
+        ("table_ve_um", whole.table_ve_um),
+        ("predicted_vce_um", whole.after_aligned.value_um),
+    ):
+        squares = sum(part.share * getattr(part, name) ** 2 for part in both)
+        assert np.sqrt(squares) == pytest.approx(expected_um, rel=1e-6, abs=1e-6), name
     for part in both:
-        lower, upper = part.predicted_vce_limits_um
-        assert lower < part.predicted_vce_um < upper
+        for value, (lower, upper) in (
+            (part.estimated_ve_um, part.estimated_ve_limits_um),
+            (part.predicted_vce_um, part.predicted_vce_limits_um),
+        ):
+            assert lower < value < upper
+
+
+def test_a_part_that_is_the_whole_travel_has_the_figures_of_the_whole() -> None:
+    estimate, offset, _ = found()
+    corners = np.array(list(product(*estimate.model.ranges_mm)))
+    parts, whole = travel_parts(estimate, offset, corners), volumetric_summary(estimate, offset)
+    part = parts.measured
+    assert parts.unmeasured is None
+    assert part is not None
+    assert part.share == 1.0
+    for value, limits, of_whole in (
+        (part.estimated_ve_um, part.estimated_ve_limits_um, whole.before_aligned),
+        (part.predicted_vce_um, part.predicted_vce_limits_um, whole.after_aligned),
+    ):
+        assert value == pytest.approx(of_whole.value_um, rel=1e-9)
+        assert limits == pytest.approx(of_whole.limits_um, rel=1e-6)
 
 
 @pytest.mark.parametrize("most", [True, False])

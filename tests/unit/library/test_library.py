@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import volcal
+from twin.machine.volumetric import evaluation_grid, rigid_part
 from volcal.reference import PREAMBLE, SECTIONS, page
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -100,8 +101,17 @@ def test_the_prediction_agrees_with_the_true_machine() -> None:
     estimate = volcal.identify(simulation.balls, setup.machine, setup.artefact, order="file")
     points = np.random.default_rng(1).uniform([0.0, 0.0, 0.0], [4000.0, 1300.0, 1500.0], (40, 3))
     prediction = volcal.predict(estimate, points)
-    wrong = simulation.true_error(points) - prediction.error_mm
+    grid, offset = evaluation_grid(setup.machine.model.ranges_mm), np.array(estimate.tool_offsets[0])
+    rigid = rigid_part(grid + offset, simulation.true_error(grid), points + offset)
+    wrong = simulation.true_error(points) - rigid - prediction.error_mm
     assert np.sqrt(np.mean((wrong / prediction.standard_uncertainty_mm) ** 2)) < 2.0
+
+
+def test_the_aligned_prediction_contains_no_rigid_motion(names: Mapping[str, Any]) -> None:
+    estimate = names["estimate"]
+    grid, offset = evaluation_grid(estimate.model.ranges_mm), np.array(estimate.tool_offsets[0])
+    error = np.concatenate([volcal.predict(estimate, part).error_mm for part in np.array_split(grid, 40)])
+    assert np.abs(rigid_part(grid + offset, error, grid + offset)).max() < 1e-12
 
 
 @pytest.mark.parametrize(
