@@ -142,6 +142,7 @@ class Incidents:
             self._sticky_until_reset(evening)
             evening.claims["the table from before acts"] = (self._plant.active_bank, self._plant.active_crc32) == before
             evening.expected.append(ExpectedRun("calibrate", "faulted", "timer", reason="Modbus"))
+        self._restart_service()
 
     def abort(self, evening: Evening) -> None:
         """Abort a calibration of the machine, which had no compensation, from the web page without an access token,
@@ -158,6 +159,7 @@ class Incidents:
             evening.claims["the table from before acts"] = (self._plant.active_bank, self._plant.active_crc32) == before
             self._sticky_until_reset(evening)
             evening.expected.append(ExpectedRun("calibrate", "aborted", "timer", reason="a person walks in"))
+        self._restart_service()
 
     # ------------------------------------------------------------------ damage to the machine
 
@@ -185,6 +187,11 @@ class Incidents:
         evening.expected.append(expected)
 
     # ------------------------------------------------------------------ helpers
+
+    def _restart_service(self) -> None:
+        """Stop the service and start it again, so that it reads which bank is active."""
+        self._host.stop()
+        self._host.serve()
 
     def _set_time(self, evening: Evening, hour: int) -> None:
         self._host.set_time(FIRST_EVENING + timedelta(days=evening.night, hours=hour))
