@@ -29,7 +29,6 @@ from agent.results.gates import (
     NIGHT,
     PATTERN,
     PROBE,
-    PROOF,
     PROOF_FIT,
     STEP,
     Gate,
@@ -38,16 +37,17 @@ from agent.results.gates import (
     extrapolation_gate,
     fit_gate,
     gain_gate,
+    proof_gate,
     redundancy_gate,
     slope_gate,
     unmeasured_gate,
 )
 from agent.results.observations import ReferenceArtefact
 from agent.results.predicted_accuracy import planned_estimate
-from agent.results.predicted_reduction import PredictedReduction
-from agent.results.table_replacement import ExpectedGain, component_variance
+from agent.results.table_replacement import ExpectedGain
 from drivers.errors import ConfigurationError
 from twin.arrays import Array
+from twin.artefact.effect_test import expected_power
 from twin.artefact.held_out_check import held_out_residuals
 from twin.artefact.observations import Observations
 from twin.compensation.table import Anchor, MeasuredRegion, Nodes, linear_corrections
@@ -234,18 +234,13 @@ class _Design:
         gain = ExpectedGain(math.hypot(corrected_um, left_um), left_um)
         return (
             gain_gate(gain, limits.min_gain),
-            self._proof(),
+            proof_gate(self._expected_power()),
             Gate(PROOF_FIT, limits.max_chi2 >= 1.0, 1.0, limits.max_chi2, "normalised χ² of held-out balls"),
         )
 
-    def _proof(self) -> Gate:
-        """Return the gate for the reduction of the mean square of the held-out balls by the first table."""
-        reduction = self._held_out_reduction()
-        predicted_um2, smallest_um2 = (UM_PER_MM**2 * one for one in (reduction.square, reduction.smallest_shown))
-        text = "expected reduction of the mean square of the held-out balls in µm², and the smallest detectable one"
-        return Gate(PROOF, reduction.can_be_shown, predicted_um2, smallest_um2, text)
-
-    def _held_out_reduction(self) -> PredictedReduction:
+    def _expected_power(self) -> float:
+        """Return the probability that the run writes the first table and that its proof accepts it, over the machines
+        of the prior population whose tables work."""
         estimate, offset = self.estimate, self.job.tool_offset_mm
         reference = ReferenceArtefact.of(self.job.artefact, estimate.unknowns, estimate.z, estimate.z_covariance)
         stated = self.job.settings.verification
@@ -253,12 +248,9 @@ class _Design:
         with translated(ConfigurationError, key=f"verification.{key}"):
             seen = self.job.procedure.plan(self.job.held_out).observations
             residuals = held_out_residuals(seen, seen.axis_positions + offset, reference.artefact)
-            fields = deviation_basis(estimate.model, seen.axis_positions, offset).reshape(-1, estimate.model.size)
-            left = residual_covariance(estimate, seen.axis_positions, offset)
-            former, later = (
-                reference.test(seen, residuals, covariance, offset).predicted_mm ** 2
-                for covariance in (left + fields @ self.known @ fields.T, left)
-            )
-        return PredictedReduction.of(
-            former, former - later, residuals.freedom, component_variance(seen), stated.max_missing_fraction
+        left = residual_covariance(estimate, seen.axis_positions, offset)
+        covariance = reference.covariance(seen, residuals, left, offset)
+        fields = covariance.basis.T @ deviation_basis(estimate.model, seen.axis_positions, offset).reshape(
+            len(covariance.basis), -1
         )
+        return expected_power(fields @ self.known @ fields.T, covariance, stated.max_chi2)

@@ -17,6 +17,7 @@ from agent.settings.load import naming, read_settings
 from agent.settings.schema import GateSettings
 from drivers.errors import InputError
 from drivers.roles import StoreLimits
+from twin.artefact.effect_test import REQUIRED_POWER
 from twin.compensation.table import CompensationTable
 from twin.identification import BallCheck, CommonScale, Estimate, PatternTest, StepInRun
 from twin.units import UM_PER_MM
@@ -84,8 +85,8 @@ GATE_RULES: Mapping[str, GateRule] = {
     "gain": GateRule("verification.min_gain", f"{_MORE}, or lower the limit; a run would keep the active compensation"),
     PROOF: GateRule(
         "verification.positions",
-        "hold out more positions, or touch each ball more often (`procedure.touches_per_ball`); a table "
-        "without effect could pass",
+        "hold out more positions, or touch each ball more often (`procedure.touches_per_ball`); a run would keep the "
+        "active compensation",
     ),
     PROOF_FIT: GateRule("verification.max_chi2", _EXPECTED_CHI2),
 }
@@ -166,6 +167,17 @@ def gain_gate(gain: ExpectedGain, min_gain: float) -> Gate:
         min_gain,
         f"relative decrease of the expected VE from {gain.kept_um:.2f} to {gain.new_um:.2f} µm by the new table "
         "(aligned): the improvement must stand out of its uncertainty",
+    )
+
+
+def proof_gate(power: float) -> Gate:
+    """Return the gate (limit) for the probability `power` that the proof accepts a table that works."""
+    return Gate(
+        PROOF,
+        power >= REQUIRED_POWER,
+        power,
+        REQUIRED_POWER,
+        "probability that held-out positions prove a table that works; one without effect passes with 5 % at most",
     )
 
 

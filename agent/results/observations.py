@@ -15,7 +15,7 @@ from agent.probing.run_plan import MeasuredPositions
 from agent.thermal.machine_drift import RunDrift, is_drifting
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
-from twin.artefact.held_out_check import HeldOutResiduals, HeldOutTest, held_out_residuals, held_out_test
+from twin.artefact.held_out_check import HeldOutCovariance, HeldOutResiduals, held_out_covariance, held_out_residuals
 from twin.artefact.observations import Observations
 from twin.errors import PositionError
 from twin.identification import shared_with_artefact
@@ -93,15 +93,15 @@ class ReferenceArtefact:
             return cls(artefact)
         return cls(calibration.calibrated(artefact, "this run"), unknowns, z_covariance)
 
-    def test(
+    def covariance(
         self, observations: Observations, result: HeldOutResiduals, field_covariance: Array, tool_offset_mm: Array
-    ) -> HeldOutTest:
-        """Compare the residuals `result` of held-out `observations` with those expected. `field_covariance` is that of
-        `held_out_test`."""
+    ) -> HeldOutCovariance:
+        """Return the covariance expected of the residuals `result` of held-out `observations`. `field_covariance` is
+        that of `held_out_covariance`."""
         shared = None
         if self.unknowns is not None and self.z_covariance is not None:
             shared = shared_with_artefact(self.unknowns, self.z_covariance, observations.axis_positions, tool_offset_mm)
-        return held_out_test(observations, result, self.artefact, field_covariance, shared)
+        return held_out_covariance(observations, result.placed_mm, self.artefact, field_covariance, shared)
 
 
 def certified_balls(balls: Sequence[MeasuredBall], artefact: Artefact) -> list[MeasuredBall]:

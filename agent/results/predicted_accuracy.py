@@ -64,8 +64,9 @@ def _held_out_um(job: Job, measured: MeasuredPositions, estimate: Estimate) -> d
         if len(balls) >= MIN_BALLS:
             seen = observations_of(balls, job.tool_offset_mm, no_correction)
             result = held_out_residuals(seen, seen.axis_positions + job.tool_offset_mm, reference.artefact)
-            covariance = residual_covariance(estimate, seen.axis_positions, job.tool_offset_mm)
-            predicted[position] = UM_PER_MM * reference.test(seen, result, covariance, job.tool_offset_mm).predicted_mm
+            left = residual_covariance(estimate, seen.axis_positions, job.tool_offset_mm)
+            covariance = reference.covariance(seen, result, left, job.tool_offset_mm)
+            predicted[position] = UM_PER_MM * covariance.predicted_rms_mm
     return predicted
 
 

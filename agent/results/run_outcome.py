@@ -10,6 +10,7 @@ from agent.execution.states import RunState
 from agent.probing.reversal import AxisReversal
 from agent.results.estimation import NO_ESTIMATION, EstimationResult
 from agent.results.trial_report import TrialReport
+from twin.artefact.effect_test import NO_GAIN, REQUIRED_POWER
 
 
 @dataclass(frozen=True)
@@ -18,6 +19,9 @@ class Proof:
 
     `before_um` and `after_um` are the rms residuals per ball before and after activation of the table. `predicted_um`
     is the prediction of `after_um`. `chi2_normalised` compares the residuals after activation with their prediction.
+
+    `change` is the measured change of the residuals, and `gain` the decrease of their weighted square, each as a share
+    of the predicted one (see `twin.artefact.effect_test`). Both must reach `limit`.
     """
 
     accepted: bool
@@ -25,17 +29,23 @@ class Proof:
     after_um: float
     predicted_um: float
     chi2_normalised: float
+    change: float
+    gain: float
+    limit: float
     reason: str
 
 
 @dataclass(frozen=True)
 class Confirmation:
-    """Confirmation of the active table, which is kept because a new table would not be better by the stated margin.
+    """Confirmation of the active table, which is kept because a new table would not be better by the stated margin, or
+    because its proof could not show that it is.
 
     `kept_um` and `new_um` are the volumetric errors expected with the active and with a new table, after removal of the
     best-fitting rigid motion. `min_gain` is the relative decrease from which a new table is written. `held_out_um` is
     the rms residual of the held-out balls with the active table. `chi2_normalised` compares them with the prediction of
-    the estimate. `reason` states why the active table is not confirmed; it is empty if it is.
+    the estimate. `power` is the probability that the proof of a new table would accept it if it works; it is None if a
+    new table would not be better by the margin. `reason` states why the active table is not confirmed; it is empty if
+    it is.
     """
 
     kept_um: float
@@ -43,15 +53,30 @@ class Confirmation:
     min_gain: float
     held_out_um: float
     chi2_normalised: float
+    power: float | None
     reason: str = ""
 
     @property
     def text(self) -> str:
         """Explanation in one line."""
+        if self.power is not None:
+            return (
+                f"{Decision.CONFIRMED.value}: {no_gain_text(self.power)}; VE {self.kept_um:.2f} µm, with a new table "
+                f"{self.new_um:.2f} µm expected"
+            )
         return (
             f"{Decision.CONFIRMED.value}: the active compensation is kept, VE {self.kept_um:.2f} µm; a new table is "
             f"expected to leave {self.new_um:.2f} µm, and is written from {100.0 * self.min_gain:.0f} % less on"
         )
+
+
+def no_gain_text(power: float) -> str:
+    """Return why the active compensation is kept if the proof of a new table would accept it with the probability
+    `power` only."""
+    return (
+        f"{NO_GAIN}: held-out positions would prove a new table that works with a probability of "
+        f"{100.0 * power:.0f} %, {100.0 * REQUIRED_POWER:.0f} % needed"
+    )
 
 
 class Decision(Enum):
@@ -185,6 +210,9 @@ class Outcome:
                 "after_um": self.proof.after_um,
                 "predicted_um": self.proof.predicted_um,
                 "chi2_normalised": self.proof.chi2_normalised,
+                "change": self.proof.change,
+                "gain": self.proof.gain,
+                "limit": self.proof.limit,
                 "reason": self.proof.reason,
             },
             "confirmed": None
@@ -195,6 +223,7 @@ class Outcome:
                 "min_gain": self.confirmed.min_gain,
                 "held_out_um": self.confirmed.held_out_um,
                 "chi2_normalised": self.confirmed.chi2_normalised,
+                "power": self.confirmed.power,
             },
             "night": None if self.night is None else self.night.as_json(),
             "trial": None if self.trial is None else self.trial.as_json(),

@@ -1,14 +1,13 @@
 """Replacement of the active compensation table by a new one: the one rule of full calibrations and nights.
 
-The active table is kept unless the new table is expected to be better by a stated margin. If it is kept, nothing is
-written and the active table is confirmed. A new table must reduce the residuals of the held-out balls as predicted,
-within the noise of the touches; otherwise the former table is restored.
+The active table is kept unless the new table is expected to be better by a stated margin, and its proof is expected to
+show this. If the active table is kept, nothing is written and it is confirmed. A new table must show its effect at the
+held-out balls, and they must be as predicted; otherwise the former table is restored.
 
 Let e be the true deviation of the machine, ê its estimate with the covariance C, and c₀ and c₁ the corrections of the
 active and of the new table, with c₁ = -ê. The mean square that is left with the active table is expected to be
-|ê + c₀|² + tr C, with the new table tr C. The expected reduction |ê + c₀|² is the same over the travel and at held-out
-balls, each with its own points. At the held-out balls it can be compared with the measured reduction, which contains
-the noise of the touches before and after; see `agent.results.predicted_reduction`.
+|ê + c₀|² + tr C, with the new table tr C. The proof, its probability of acceptance and its probability of error are
+those of `twin.artefact.effect_test`, with the change c₀ - c₁ of the displayed positions.
 
 If held-out balls do not agree with a new table, the correction that the controller really applies is diagnosed. Let c
 be the corrections of the new table, which make up for the estimated deviations: e = -c. A controller that adds the
@@ -40,12 +39,11 @@ from agent.results.observations import (
     no_correction,
     observations_of,
 )
-from agent.results.predicted_reduction import PredictedReduction
 from agent.results.run_outcome import Confirmation, Proof
-from agent.settings.schema import VerificationSettings
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
-from twin.artefact.held_out_check import HeldOutResiduals, HeldOutTest, held_out_residuals
+from twin.artefact.effect_test import EffectTest, MeasuredEffect
+from twin.artefact.held_out_check import HeldOutCovariance, HeldOutResiduals, held_out_residuals, projected_touches
 from twin.artefact.observations import Observations
 from twin.identification import Estimate, residual_covariance
 from twin.machine.error_model import ErrorModel
@@ -117,6 +115,17 @@ class FormerBalls:
         )
         return cls(balls, correction, observations_of(balls, job.tool_offset_mm, correction), drift_mm)
 
+    def paired(self, after: Sequence[MeasuredBall]) -> tuple[FormerBalls, list[MeasuredBall]]:
+        """Return the balls that were measured again in `after`, and those measured again, in the same order. Raises
+        MeasurementFault if there is none."""
+        again = {_place(ball): ball for ball in after}
+        known = np.array([_place(ball) in again for ball in self.balls])
+        if not known.any():
+            raise MeasurementFault("no ball of a held-out position was measured with both tables active")
+        balls = [ball for ball in self.balls if _place(ball) in again]
+        former = FormerBalls(balls, self.correction, self.observed.select(known), self.drift_mm[known])
+        return former, [again[_place(ball)] for ball in balls]
+
     def residuals(self, tool_offset_mm: Array, artefact: Artefact) -> HeldOutResiduals:
         """Return the residuals that the balls would show at the end of the measurement with the former table active.
 
@@ -147,31 +156,34 @@ def earlier_deviations(
     return estimate.drift.deviations(basis, np.stack(course, axis=1) - regressors[-1])
 
 
-def predicted_reduction(job: Job, estimation: EstimationResult, former: FormerBalls) -> PredictedReduction:
-    """Return the reduction that the table of the estimate is predicted to show at the held-out balls `former`. Raises
-    MeasurementFault if too few were measured."""
-    offset, artefact = job.tool_offset_mm, estimation.reference(job.artefact).artefact
+def proof_power(job: Job, estimation: EstimationResult, former: FormerBalls) -> float:
+    """Return the probability that the proof accepts the table of the estimate if it works. The held-out balls `former`
+    were measured with the active table. Raises MeasurementFault if too few were measured."""
+    reference, offset = estimation.reference(job.artefact), job.tool_offset_mm
     with translated(MeasurementFault):
-        measured = former.residuals(offset, artefact)
-        left = _field(estimation.estimate, former.observed.axis_positions, offset)
-        left += _correction_at(former.balls, former.correction)
-        square = held_out_residuals(former.observed, measured.placed_mm - left, artefact).rms_mm ** 2
-    return PredictedReduction.of(
-        measured.rms_mm**2,
-        square,
-        measured.freedom,
-        estimation.estimate.scales.noise**2 * component_variance(former.observed),
-        job.settings.verification.max_missing_fraction,
+        result = former.residuals(offset, reference.artefact)
+        residuals = _residual_covariance(reference, estimation, former.observed, result, offset)
+    return _effect_test(job, estimation, former, residuals).power(result.residuals_mm)
+
+
+def _effect_test(
+    job: Job, estimation: EstimationResult, former: FormerBalls, residuals: HeldOutCovariance
+) -> EffectTest:
+    corrections = [_correction_at(former.balls, correction) for correction in (former.correction, estimation.table.at)]
+    return EffectTest.of(
+        residuals.projected(corrections[0] - corrections[1]),
+        residuals,
+        projected_touches(residuals.basis, former.observed.covariance),
+        estimation.estimate.scales.noise,
+        job.settings.verification.max_chi2,
     )
 
 
-def component_variance(observed: Observations) -> float:
-    """Return the mean variance (mm²) of one coordinate of a ball centre that is due to the stated touch noise."""
-    return float(np.einsum("nii->n", observed.covariance).mean()) / 3.0
-
-
-def confirm(job: Job, estimation: EstimationResult, gain: ExpectedGain, former: FormerBalls) -> Confirmation:
-    """Return the confirmation of the active table, with which the held-out balls `former` were measured.
+def confirm(
+    job: Job, estimation: EstimationResult, gain: ExpectedGain, power: float | None, former: FormerBalls
+) -> Confirmation:
+    """Return the confirmation of the active table, with which the held-out balls `former` were measured. `power` is
+    that of the proof of a new table, None if none would be better by the margin.
 
     The confirmation relies on the estimate. The ball centres, corrected by the estimate, must therefore agree with
     their prediction; otherwise the reason of the confirmation is not empty. Raises MeasurementFault if too few
@@ -184,7 +196,7 @@ def confirm(job: Job, estimation: EstimationResult, gain: ExpectedGain, former: 
         field = _field(estimation.estimate, bare.axis_positions, offset)
         points = bare.axis_positions + offset + field + former.drift_mm
         result = held_out_residuals(bare, points, reference.artefact)
-        expected = _compared(reference, estimation, bare, result, offset)
+        expected = _residual_covariance(reference, estimation, bare, result, offset).test(result.residuals_mm)
         measured_um = UM_PER_MM * displayed_residuals(former.balls, offset, reference.artefact).rms_mm
     return Confirmation(
         kept_um=gain.kept_um,
@@ -192,58 +204,57 @@ def confirm(job: Job, estimation: EstimationResult, gain: ExpectedGain, former: 
         min_gain=limits.min_gain,
         held_out_um=measured_um,
         chi2_normalised=expected.chi2_normalised,
-        reason=_disagreement(expected, limits),
+        power=power,
+        reason=_disagreement(expected.chi2_normalised, limits.max_chi2),
     )
 
 
 def prove(job: Job, estimation: EstimationResult, former: FormerBalls, after: Sequence[MeasuredBall]) -> Proof:
-    """Return the proof of a new compensation table at the held-out balls, measured with the former table, `former`,
-    and with the new one, `after`.
+    """Return the proof of a new compensation table at the held-out balls that were measured both with the former table,
+    `former`, and with the new one, `after`.
 
     If the machine drifted, the residuals with the former table are first converted to the state of the machine at the
     end of the measurement. Otherwise an error that grew during the measurement would hide the effect of the table, and
     one that shrank would be mistaken for it. Raises MeasurementFault if too few balls were found for a comparison.
     """
-    limits, offset = job.settings.verification, job.tool_offset_mm
-    predicted = predicted_reduction(job, estimation, former)
+    offset = job.tool_offset_mm
     reference = estimation.reference(job.artefact)
-    after = _certified(reference, after, " with the new table active")
+    former, after = former.paired(_certified(reference, after, " with the new table active"))
     with translated(MeasurementFault):
         seen = observations_of(after, offset, estimation.table.at)
         before, result = (displayed_residuals(balls, offset, reference.artefact) for balls in (former.balls, after))
-        expected = _compared(reference, estimation, seen, result, offset)
+        residuals = _residual_covariance(reference, estimation, seen, result, offset)
         undrifted = former.residuals(offset, reference.artefact)
+    effect = _effect_test(job, estimation, former, residuals).measured(undrifted.residuals_mm, result.residuals_mm)
     change_um = f"{UM_PER_MM * before.rms_mm:.2f} to {UM_PER_MM * result.rms_mm:.2f} µm"
     if former.drift_mm.any():
         change_um += f" (before the table, {UM_PER_MM * undrifted.rms_mm:.2f} µm in the state to which it drifted)"
-    reason = _shortfall(predicted, undrifted.rms_mm**2 - result.rms_mm**2, change_um)
+    reason = _shortfall(effect, change_um)
     if reason:
         mistake = mistaken_correction(after, estimation.table.at, former.correction, offset, reference.artefact)
         reason = f"{mistake}; {reason}" if mistake else reason
-    reason = reason or _disagreement(expected, limits)
-    success = (
-        "reduced and as predicted"
-        if predicted.can_be_shown
-        else "as predicted, within a noise that can hide a table without effect"
-    )
+    reason = reason or _disagreement(effect.consistency.chi2_normalised, effect.max_chi2)
     return Proof(
-        accepted=not reason,
+        accepted=effect.accepted,
         before_um=UM_PER_MM * before.rms_mm,
         after_um=UM_PER_MM * result.rms_mm,
-        predicted_um=UM_PER_MM * expected.predicted_mm,
-        chi2_normalised=expected.chi2_normalised,
-        reason=reason or success,
+        predicted_um=UM_PER_MM * effect.consistency.predicted_mm,
+        chi2_normalised=effect.consistency.chi2_normalised,
+        change=effect.change,
+        gain=effect.gain,
+        limit=effect.limit,
+        reason=reason or "effect shown, and as predicted",
     )
 
 
-def _shortfall(predicted: PredictedReduction, measured: float, change_um: str) -> str:
-    """Return the reason why the measured reduction in mm² does not prove the new table; empty if it does."""
-    if predicted.is_reached_by(measured):
+def _shortfall(effect: MeasuredEffect, change_um: str) -> str:
+    """Return the reason why the measured effect does not prove the new table; empty if it does."""
+    if effect.is_shown:
         return ""
-    squares = UM_PER_MM**2 * np.array([predicted.square, measured, predicted.threshold])
+    change, gain, limit = (f"{100.0 * share:.0f} %" for share in (effect.change, effect.gain, effect.limit))
     return (
-        f"held-out positions do not show the predicted reduction, {change_um}: their mean square was to fall by "
-        f"{squares[0]:.2f} µm² and fell by {squares[1]:.2f} µm², less than {squares[2]:.2f} µm²"
+        f"held-out positions do not show the effect of the table, {change_um}: they show {change} of the predicted "
+        f"change and {gain} of the predicted gain, {limit} needed"
     )
 
 
@@ -269,6 +280,11 @@ def _field(estimate: Estimate, axis_positions: Array, tool_offset_mm: Array) -> 
     return np.asarray(deviation_basis(estimate.model, axis_positions, tool_offset_mm) @ estimate.parameters)
 
 
+def _place(ball: MeasuredBall) -> tuple[int, float, float, int]:
+    """Return what identifies a ball in both measurements."""
+    return ball.station, ball.azimuth_deg, ball.elevation_deg, ball.ball
+
+
 def _correction_at(balls: Sequence[MeasuredBall], correction: Correction) -> Array:
     return correction(np.array([ball.found.centre_mm for ball in balls]))
 
@@ -280,23 +296,24 @@ def _certified(reference: ReferenceArtefact, balls: Sequence[MeasuredBall], when
     return certified
 
 
-def _compared(
+def _residual_covariance(
     reference: ReferenceArtefact,
     estimation: EstimationResult,
     observed: Observations,
     result: HeldOutResiduals,
     tool_offset_mm: Array,
-) -> HeldOutTest:
+) -> HeldOutCovariance:
     covariance = residual_covariance(estimation.estimate, observed.axis_positions, tool_offset_mm)
-    return reference.test(observed, result, covariance, tool_offset_mm)
+    return reference.covariance(observed, result, covariance, tool_offset_mm)
 
 
-def _disagreement(expected: HeldOutTest, limits: VerificationSettings) -> str:
-    """Return the reason why held-out balls are not as predicted; empty if they are."""
-    if expected.chi2_normalised <= limits.max_chi2:
-        return ""
-    chi2 = expected.chi2_normalised
-    return f"held-out positions are not as predicted: normalised χ² {chi2:.2f}, allowed {limits.max_chi2:.2f}"
+def _disagreement(chi2: float, limit: float) -> str:
+    """Return the reason why held-out balls with the normalised χ² `chi2` are not as predicted; empty if they are."""
+    return (
+        ""
+        if chi2 <= limit
+        else f"held-out positions are not as predicted: normalised χ² {chi2:.2f}, allowed {limit:.2f}"
+    )
 
 
 def mistaken_correction(

@@ -227,9 +227,9 @@ class VerificationSettings(StrictModel):
 
     A full calibration writes a new table only if the volumetric error expected with it is lower than that expected with
     the active table (or without compensation) by at least the fraction `min_gain`. Otherwise it confirms the active
-    table. The new table stays active if the held-out balls are as predicted and if at most the fraction
-    `max_missing_fraction` of the predicted reduction of their mean square is missing, as far as the noise of the
-    touches lets this be seen.
+    table. Nor does it write a table whose effect the held-out balls would show with a probability of less than 95 %.
+    The new table stays active if they show its effect (a table without effect would be found out with 95 %) and are as
+    predicted: their normalised χ² is at most `max_chi2`.
 
     `min_gain` is larger than `nightly.min_gain`, because a full calibration knows nothing of the measurement behind the
     active table: of two equally good tables, it expects the one that it has just measured to be better by up to 22 %.
@@ -240,7 +240,6 @@ class VerificationSettings(StrictModel):
     grid_deg: PositiveFloat = Field(default=30.0, le=90.0)
     stations: list[PositiveInt] | None = None
     max_chi2: PositiveFloat = 2.0
-    max_missing_fraction: float = Field(default=0.5, gt=0.0, le=1.0)
     min_gain: float = Field(default=0.25, ge=0.0, lt=1.0)
 
 
@@ -277,9 +276,9 @@ class NightlySettings(StrictModel):
     the volumetric error (VE) exceeds `max_ve_growth` times the VE after the last accepted night.
 
     A night writes a table if the volumetric error expected with it is lower than that expected with the active table by
-    at least the fraction `min_gain`. This is the rule of a full calibration with a smaller margin: the estimate of a
-    night contains everything that is known of the active table, so it does not overrate its own. If the held-out balls
-    cannot show a reduction as small as that of a night, they must not become worse beyond their noise.
+    at least the fraction `min_gain`, and if the held-out balls can show its effect. This is the rule of a full
+    calibration with a smaller margin: the estimate of a night contains everything that is known of the active table, so
+    it does not overrate its own.
     """
 
     slot_minutes: PositiveFloat = Field(default=15.0, le=1440.0)

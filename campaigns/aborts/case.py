@@ -34,7 +34,6 @@ LENIENT: dict[str, dict[str, Any]] = {
     "verification": {
         "stations": [1],
         "positions_deg": [(20.0, 25.0)],
-        "max_missing_fraction": 1.0,
         "max_chi2": 1e3,
     },
     "gates": {"min_degrees_of_freedom": 1, "max_unmeasured_fraction": 10.0, "max_chi2": 1e3},

@@ -6,12 +6,13 @@ import gc
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from agent.execution import steps as s
 from agent.execution.device_assembly import Devices
+from agent.execution.rig import Rig
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
 from agent.planning.case_file import SHIPPED_CONFIGURATION
@@ -22,7 +23,7 @@ from campaigns.aborts.case import FORMER_BANK, FORMER_TABLE, InMemoryDatabase, b
 from campaigns.aborts.interruption_kinds import Interrupter
 from campaigns.nights.play import build_rig
 from campaigns.plans.motion_run import AlarmClock
-from drivers.roles import MotionState
+from drivers.roles import CompensationStore, MotionState, TableImage
 
 SETTLE_S = 60.0
 POSITION_TOLERANCE_MM = 0.01
@@ -125,35 +126,69 @@ def _found(interrupter: Interrupter, ended: RunResult | None, defect: BaseExcept
         return {"failures": [f"could not be judged: {error!r}"]}
 
 
-def _carry_out(interrupter: Interrupter, directory: Path, **sections: dict[str, Any]) -> RunResult:
+def _carry_out(
+    interrupter: Interrupter,
+    directory: Path,
+    tamper: Callable[[Rig], Rig] = lambda rig: rig,
+    **sections: dict[str, Any],
+) -> RunResult:
     job = prepare_case(directory, **sections)
 
     def keep(supervisor: Supervisor) -> None:
         interrupter.supervisor = supervisor
 
     devices = Devices(
-        lambda _, clock, __: interrupter.rig(build_rig(interrupter.world, clock, job)), lambda _: interrupter.clock
+        lambda _, clock, __: tamper(interrupter.rig(build_rig(interrupter.world, clock, job))),
+        lambda _: interrupter.clock,
     )
     hooks = RunHooks(attach=keep, devices=devices, write_files=False, answers=interrupter.answers)
     return carry_out(job, FullCalibration(), SHIPPED_CONFIGURATION, hooks)
 
 
-ENDS: dict[str, tuple[dict[str, dict[str, Any]], RunState]] = {
-    "a gate stays closed": ({"gates": {"max_chi2": 1e-6}}, RunState.REFUSED),
-    "the proof fails": ({"verification": {"max_chi2": 1e-6}}, RunState.COMPLETE),
+class InvertedStore:
+    """Store of a controller that subtracts the corrections of a table instead of adding them, and reads back what was
+    written."""
+
+    def __init__(self, store: CompensationStore) -> None:
+        self._store = store
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._store, name)
+
+    def stage(self, bank: int, table: TableImage) -> None:
+        self._store.stage(bank, _negative(table))
+
+    def read_table(self, bank: int) -> TableImage | None:
+        held = self._store.read_table(bank)
+        return held if held is None or bank == FORMER_BANK else _negative(held)
+
+
+def _negative(table: TableImage) -> TableImage:
+    return replace(table, counts=-table.counts)
+
+
+def _inverted(rig: Rig) -> Rig:
+    store: Any = InvertedStore(rig.store)
+    return replace(rig, store=store)
+
+
+ENDS: dict[str, tuple[Callable[[Rig], Rig], dict[str, dict[str, Any]], RunState]] = {
+    "a gate stays closed": (lambda rig: rig, {"gates": {"max_chi2": 1e-6}}, RunState.REFUSED),
+    "no proof is possible": (lambda rig: rig, {"verification": {"max_chi2": 1e-6}}, RunState.REFUSED),
+    "the proof fails": (_inverted, {}, RunState.COMPLETE),
 }
 
 
 def check_refused_and_restored() -> dict[str, Any]:
-    """Carry out two uninterrupted runs that must end with the former table active again, and return the failures.
+    """Carry out three uninterrupted runs that must end with the former table active, and return the failures.
 
-    In the first run a gate refuses the new table. In the second run the verification fails, and the former table is
-    restored.
+    In the first run a gate refuses the new table, in the second one no proof is possible. In the third run the
+    controller applies the table with the wrong sign, the proof fails, and the former table is restored.
     """
     failed = []
-    for name, (sections, state) in ENDS.items():
+    for name, (tamper, sections, state) in ENDS.items():
         with _case(lambda *_: False) as (interrupter, directory):
-            ended = _carry_out(interrupter, directory, **sections)
+            ended = _carry_out(interrupter, directory, tamper, **sections)
             controller = interrupter.world.controller
             kept = controller.active_bank == FORMER_BANK and controller.banks[FORMER_BANK].same_as(FORMER_TABLE)
             if ended.outcome.state is not state or not kept or interrupter.world.collisions:

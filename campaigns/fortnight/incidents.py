@@ -20,8 +20,6 @@ from drivers.roles import Permission
 FIRST_EVENING = datetime(2026, 3, 2, tzinfo=UTC)
 SLOT = ("--slot", "15min")
 FUSED_DECISIONS = (Decision.FUSED.value, Decision.WRITTEN.value)
-CHECKED_DECISIONS = (None, Decision.WITHIN.value)
-"""Decisions possible for an interrupted night, which has accepted no table: none, or that of its check measurement."""
 BALLS_BEFORE_THE_POWER_FAILS = 20
 LINK, REFUSED, ABORTED, NOT_NOW = 3, 4, 5, 6
 """Exit codes of `volcal start --wait`."""
@@ -128,38 +126,40 @@ class Incidents:
         evening.expected.append(GOOD_NIGHT)
 
     def link_loss(self, evening: Evening) -> None:
-        """Cut the link to the machine after a run has activated its new compensation table.
+        """Cut the link to the machine, which had no compensation, after a calibration has activated its new table.
 
         The agent cannot activate the previous table again until the link is restored.
         """
-        before = self._plant.active_bank, self._plant.active_crc32
-        waiting = self._wait_for_new_table(evening)
-        self._plant.cut_link()
-        code, _ = self._finish(evening, waiting)
-        evening.claims["the timer's command tells it"] = code == LINK
-        self._expect_state(evening, "faulted", 311)
-        evening.claims["the new table was left acting"] = self._plant.active_bank != before[0]
-        self._plant.power_cycle()
-        self._sticky_until_reset(evening)
-        evening.claims["the table from before acts"] = (self._plant.active_bank, self._plant.active_crc32) == before
-        evening.expected.append(ExpectedRun("nightly", "faulted", "timer", CHECKED_DECISIONS, "Modbus"))
+        with self._plant.without_compensation():
+            before = self._plant.active_bank, self._plant.active_crc32
+            waiting = self._wait_for_new_table(evening)
+            self._plant.cut_link()
+            code, _ = self._finish(evening, waiting)
+            evening.claims["the timer's command tells it"] = code == LINK
+            self._expect_state(evening, "faulted", 311)
+            evening.claims["the new table was left acting"] = self._plant.active_bank != before[0]
+            self._plant.power_cycle()
+            self._sticky_until_reset(evening)
+            evening.claims["the table from before acts"] = (self._plant.active_bank, self._plant.active_crc32) == before
+            evening.expected.append(ExpectedRun("calibrate", "faulted", "timer", reason="Modbus"))
+        self._restart_service()
 
     def abort(self, evening: Evening) -> None:
-        """Abort the run from the web page, without an access token, after the run has activated its new compensation
-        table.
+        """Abort a calibration of the machine, which had no compensation, from the web page without an access token,
+        after it has activated its new compensation table.
         """
-        before = self._plant.active_bank, self._plant.active_crc32
-        waiting = self._wait_for_new_table(evening)
-        answer = self._host.post("/api/abort", {"reason": "a person walks in"}, token=False)
-        evening.claims["taken without a token"] = answer.status_code == 200
-        code, said = self._finish(evening, waiting)
-        evening.claims["the timer's command tells it"] = code == ABORTED and "a person walks in" in said
-        self._expect_state(evening, "aborted", 470)
-        evening.claims["the table from before acts"] = (self._plant.active_bank, self._plant.active_crc32) == before
-        self._sticky_until_reset(evening)
-        evening.expected.append(
-            ExpectedRun("nightly", "aborted", "timer", (None, Decision.WITHIN.value), "a person walks in")
-        )
+        with self._plant.without_compensation():
+            before = self._plant.active_bank, self._plant.active_crc32
+            waiting = self._wait_for_new_table(evening)
+            answer = self._host.post("/api/abort", {"reason": "a person walks in"}, token=False)
+            evening.claims["taken without a token"] = answer.status_code == 200
+            code, said = self._finish(evening, waiting)
+            evening.claims["the timer's command tells it"] = code == ABORTED and "a person walks in" in said
+            self._expect_state(evening, "aborted", 470)
+            evening.claims["the table from before acts"] = (self._plant.active_bank, self._plant.active_crc32) == before
+            self._sticky_until_reset(evening)
+            evening.expected.append(ExpectedRun("calibrate", "aborted", "timer", reason="a person walks in"))
+        self._restart_service()
 
     # ------------------------------------------------------------------ damage to the machine
 
@@ -187,6 +187,11 @@ class Incidents:
         evening.expected.append(expected)
 
     # ------------------------------------------------------------------ helpers
+
+    def _restart_service(self) -> None:
+        """Stop the service and start it again, so that it reads which bank is active."""
+        self._host.stop()
+        self._host.serve()
 
     def _set_time(self, evening: Evening, hour: int) -> None:
         self._host.set_time(FIRST_EVENING + timedelta(days=evening.night, hours=hour))
@@ -221,7 +226,8 @@ class Incidents:
 
     def _wait_for_new_table(self, evening: Evening) -> subprocess.Popen[str]:
         self._set_time(evening, 23)
-        before, waiting = self._plant.active_bank, self._host.timer("nightly", evening.station, *SLOT)
+        before = self._plant.active_bank
+        waiting = self._host.command("start", "--kind", "calibrate", "--wait", timer=True)
         wait_for(lambda: self._plant.active_bank != before or waiting.poll() is not None, "a new table")
         if waiting.poll() is not None:
             raise RuntimeError(f"night {evening.night + 1} wrote no table: {self._host.status()}")

@@ -7,7 +7,8 @@ been switched off and on since the previous evening, but has retained the compen
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 from agent.execution.encoding import table_digest
@@ -62,6 +63,18 @@ class FortnightPlant:
     def cut_link(self) -> None:
         """Cut the Modbus link to the controller: close the connection and accept no new connection."""
         self._machine.modbus.close()
+
+    @contextmanager
+    def without_compensation(self) -> Iterator[None]:
+        """Deactivate the compensation table. Afterwards it is active again, whatever was written in the meantime."""
+        controller = self.world.controller
+        bank, banks = controller.active_bank, dict(controller.banks)
+        controller.activate(0)
+        yield
+        controller = self.world.controller  # another one after a restart
+        if bank in banks:
+            controller.write_bank(bank, banks[bank])
+            controller.activate(bank)
 
     def permit(self, permission: Permission, given: bool) -> None:
         self.world.controller.granted[permission] = given

@@ -36,9 +36,6 @@ port = {port}
 hours = ["22:00-05:30"]
 warm_up_minutes = 30
 
-[nightly]
-min_gain = 0.0
-
 [history]
 ve_tolerance_um = 5.0
 held_out_tolerance_um = 3.5

@@ -21,7 +21,7 @@ from simulated import COMMAND, CONFIG, PATIENCE_S, SCENARIO, SHORT_SET, configur
 SHORT = {
     'position_set = "S3"': 'position_set = "short.csv"\nstations = [1]',
     "[verification]\nstations = [1, 4]": (
-        "[verification]\nstations = [1]\npositions_deg = [[20.0, 25.0]]\nmax_missing_fraction = 1.0\nmax_chi2 = 1e3"
+        "[verification]\nstations = [1]\npositions_deg = [[20.0, 25.0]]\nmax_chi2 = 1e3"
     ),
     "[timing]": "[gates]\nmin_degrees_of_freedom = 1\nmax_unmeasured_fraction = 10.0\nmax_chi2 = 1e3\n\n[timing]",
 }

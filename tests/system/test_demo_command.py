@@ -29,7 +29,7 @@ def short_settings(directory: Path, shipped: str = "case-study.toml", more: Sequ
         ('"artefacts/', f'"{CONFIG}/artefacts/'),
         ('position_set = "S3"', f'position_set = "{directory / "short.csv"}"\nstations = [1]'),
         ("[verification]\nstations = [1, 4]", "[verification]\nstations = [1]\npositions_deg = [[20.0, 25.0]]\n"
-         "max_missing_fraction = 1.0\nmax_chi2 = 1000.0"),
+         "max_chi2 = 1000.0"),
         ("[timing]", "[gates]\nmin_degrees_of_freedom = 1\n"
          "max_unmeasured_fraction = 10.0\nmax_chi2 = 1000.0\n\n[timing]"),
         *more,

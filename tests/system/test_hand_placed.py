@@ -46,7 +46,7 @@ def document(state: Path, **hand: Any) -> dict[str, Any]:
         "devices": {"twin": {"driver": "simulated", "options": scenario}},
         "roles": dict.fromkeys(("machine", "probe", "store", "thermometer", "operator"), "twin"),
         "procedure": {"position_set": str(listed), "stations": [3]},
-        "verification": {"stations": [3], "positions_deg": [[60.0, 0.0]], "max_missing_fraction": 1.0, "max_chi2": 1e3},
+        "verification": {"stations": [3], "positions_deg": [[60.0, 0.0]], "max_chi2": 1e3},
         "gates": {
             "min_degrees_of_freedom": 1,
             "max_unmeasured_fraction": 10.0,

@@ -34,8 +34,7 @@ def shortened(config: Path, positions: str) -> Path:
         ('position_set = "S3"', f'position_set = "{positions}"\nstations = [1]'),
         (
             "[verification]\nstations = [1, 4]",
-            "[verification]\nstations = [1]\npositions_deg = [[20.0, 25.0]]\n"
-            "max_missing_fraction = 1.0\nmax_chi2 = 1e3",
+            "[verification]\nstations = [1]\npositions_deg = [[20.0, 25.0]]\nmax_chi2 = 1e3",
         ),
         (
             "[timing]",

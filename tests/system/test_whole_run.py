@@ -111,13 +111,13 @@ def test_every_gate_was_forecast_with_its_verdict_and_its_size(nights: TwoNights
     job = prepare_job(Settings.model_validate(document(nights.state)), Path.cwd())
     forecast = {gate.gate: gate for gate in forecast_gates(job)}
     judged = {row.record["name"]: row.record for row in nights.stored(nights.first).decisions if row.kind == "gate"}
-    assert set(forecast) - set(judged) == {"probe", "change", "night", "proof", "proof fit"}
+    assert set(forecast) - set(judged) == {"probe", "change", "night", "proof fit"}
     for name, record in judged.items():
         assert record["passed"] is forecast[name].passes, name
         assert forecast[name].expected is not None
     assert judged["redundancy"]["value"] == pytest.approx(forecast["redundancy"].expected, rel=0.05)
     assert judged["extrapolation"]["value"] == pytest.approx(forecast["extrapolation"].expected, abs=0.02)
-    for name in ("fit", "gain", "certificate", "correction", "slope", "unmeasured"):
+    for name in ("fit", "gain", "proof", "certificate", "correction", "slope", "unmeasured"):
         assert 0.4 < judged[name]["value"] / (forecast[name].expected or 0.0) < 2.5, name
 
 
@@ -287,15 +287,35 @@ def test_a_table_that_is_applied_by_mistake_is_withdrawn_and_the_mistake_named(
     assert "restored" in (ended.outcome.report.read_text() if ended.outcome.report else "restored")
 
 
-def test_proof_that_cannot_be_met_restores_the_former_bank(monkeypatch, state: Path) -> None:
+def test_a_table_that_no_proof_could_accept_is_not_written(monkeypatch, state: Path) -> None:
     night = Night()
     ended = night.run(short_document(state, verification={"max_chi2": 1e-6}), files=False)
-    assert ended.outcome.proof is not None
-    assert not ended.outcome.proof.accepted
-    assert "0.00" in ended.outcome.proof.reason
-    assert (night.active, ended.outcome.table_bank) == (0, 0)
-    assert stored_run(state).row.state == "complete"
+    assert ended.outcome.proof is None
+    assert "0.00" in str(ended.error)
+    assert (night.active, night.banks) == (0, {})
+    run = stored_run(state)
+    assert run.steps_of("StageTable", "ActivateBank") == []
+    assert run.row.state == "refused"
     assert exit_code(ended) == 4
+
+
+def test_a_gain_that_the_held_out_positions_cannot_show_is_not_written(monkeypatch, state: Path) -> None:
+    """The machine is much better than its family."""
+    settings = short_document(state, verification={"min_gain": 0.0})
+    settings["devices"]["twin"]["options"]["truth"]["scale"] = 0.3
+    night = Night()
+    ended = night.run(settings)
+    assert ended.error is None
+    conclude(ended)
+    confirmed = ended.outcome.confirmed
+    assert confirmed is not None
+    assert confirmed.power is not None
+    assert confirmed.power < 0.95
+    assert confirmed.text.startswith("confirmed: kept, no gain that can be shown")
+    assert (night.active, night.banks, ended.outcome.proof) == (0, {}, None)
+    reference = read_reference(state)
+    assert reference is not None
+    assert not reference.table.written.any()
 
 
 def test_a_weak_set_ends_proved_or_confirmed_but_is_not_refused_for_its_gain(monkeypatch, state: Path) -> None:

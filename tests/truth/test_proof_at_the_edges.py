@@ -13,7 +13,7 @@ from agent.planning.case_file import CASE_STUDY, load_case
 from campaigns.foreign.artefact import S3, measure, tilted_bar
 from campaigns.foreign.machine import TOOL, ForeignMachine, foreign_machine
 from campaigns.foreign.score import family_of
-from twin.artefact.held_out_check import HeldOutTest, held_out_residuals, held_out_test
+from twin.artefact.held_out_check import HeldOutTest, held_out_covariance, held_out_residuals
 from twin.artefact.position_set import Position
 from twin.identification import identify_by_evidence, residual_covariance
 from twin.machine.forward_model import exact_deviation
@@ -63,8 +63,9 @@ def proofs(seed: int) -> tuple[HeldOutTest, HeldOutTest]:
                 estimate.model, part.axis_positions, TOOL, estimate.parameters
             )
             result = held_out_residuals(part, compensated + TOOL, bar.artefact)
-            covariance = residual_covariance(estimate, part.axis_positions, TOOL)
-            tests.append(held_out_test(part, result, bar.artefact, covariance))
+            left = residual_covariance(estimate, part.axis_positions, TOOL)
+            covariance = held_out_covariance(part, result.placed_mm, bar.artefact, left)
+            tests.append(covariance.test(result.residuals_mm))
         freedom = sum(test.freedom for test in tests)
         mean = sum(test.chi2_normalised * test.freedom for test in tests) / freedom
         return HeldOutTest(max(test.predicted_mm for test in tests), mean, freedom)

@@ -123,8 +123,8 @@ def test_a_table_is_proved_with_the_calibrated_artefact() -> None:
         written = part.axis_positions + exact_deviation(found.model, part.axis_positions, TOOL, found.parameters)
         reference = ReferenceArtefact.of(without_certificate(bar, seed), found.unknowns, found.z, found.z_covariance)
         result = held_out_residuals(part, written + TOOL, reference.artefact)
-        covariance = residual_covariance(found, part.axis_positions, TOOL)
-        tests.append((reference.test(part, result, covariance, TOOL), 1e3 * result.rms_mm))
+        covariance = reference.covariance(part, result, residual_covariance(found, part.axis_positions, TOOL), TOOL)
+        tests.append((covariance.test(result.residuals_mm), 1e3 * result.rms_mm))
     assert max(rms_um for _, rms_um in tests) < 6.0
     assert np.mean([test.chi2_normalised for test, _ in tests]) == pytest.approx(1.0, abs=0.2)
 

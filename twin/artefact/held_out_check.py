@@ -57,6 +57,41 @@ class HeldOutTest:
     freedom: int
 
 
+@dataclass(frozen=True, eq=False)
+class HeldOutCovariance:
+    """Covariance of the residuals of n held-out balls, in the f directions that the poses leave free.
+
+    `basis` (3n, f) contains orthonormal columns, each free of the pose of one position. The residuals of the balls,
+    projected on them, have the covariance `touches` + `certificate` + `field`, each (f, f) in mm²: the noise of the
+    touches, the errors of the calibrated ball centres, and those of the estimate with the model misfit.
+    """
+
+    basis: Array
+    touches: Array
+    certificate: Array
+    field: Array
+
+    @property
+    def total(self) -> Array:
+        return np.asarray(self.touches + self.certificate + self.field)
+
+    @property
+    def predicted_rms_mm(self) -> float:
+        """Expected rms residual of a ball."""
+        return float(np.sqrt(3.0 * np.trace(self.total) / self.basis.shape[1]))
+
+    def projected(self, displacements_mm: Array) -> Array:
+        """Return displacements (n, 3) of the balls in mm, projected on the f directions, (f,)."""
+        return np.asarray(self.basis.T @ displacements_mm.reshape(-1))
+
+    def test(self, residuals_mm: Array) -> HeldOutTest:
+        """Compare the residuals (n, 3) in mm with those expected from their covariance."""
+        left, covariance = self.projected(residuals_mm), self.total
+        # r = Bᵀe, χ² = rᵀC⁻¹r
+        chi2 = float(left @ np.linalg.solve(covariance, left))
+        return HeldOutTest(self.predicted_rms_mm, chi2 / len(left), len(left))
+
+
 def held_out_residuals(observations: Observations, tool_points: Array, artefact: Artefact) -> HeldOutResiduals:
     """Fit the calibrated artefact rigidly to the measured points of each position, and return the residuals.
 
@@ -75,45 +110,50 @@ def held_out_residuals(observations: Observations, tool_points: Array, artefact:
     return HeldOutResiduals(placed, residuals, float(np.sqrt(3.0 / freedom * np.sum(residuals**2))), freedom)
 
 
-def held_out_test(
+def held_out_covariance(
     observations: Observations,
-    result: HeldOutResiduals,
+    placed_mm: Array,
     artefact: Artefact,
     field_covariance: Array,
     shared: Array | None = None,
-) -> HeldOutTest:
-    """Compare the residuals in `result` with the residuals expected from their covariance.
+) -> HeldOutCovariance:
+    """Return the covariance of the residuals of n held-out balls with the calibrated centres `placed_mm` (n, 3).
 
     `field_covariance` (3n, 3n) is the covariance in mm² of the residual deviation at the n observed points, ordered
     point by point as x, y, z. It must contain only the contributions of the estimated machine parameters and of the
-    model misfit. This function adds the contributions of the touch noise and of the calibration certificate. `shared`
-    (3n, 3N) is the covariance in mm² of the residual deviation with the errors of the N ball centres, in the same
-    order. It is None if the certificate is independent of the estimate.
+    model misfit. `shared` (3n, 3N) is the covariance in mm² of the residual deviation with the errors of the N ball
+    centres, in the same order. It is None if the certificate is independent of the estimate.
     """
     n = observations.size
-    total = field_covariance.copy()
     rotations = np.zeros((3 * n, 3 * artefact.count))
     bases = []
-    for row in range(n):
-        total[3 * row : 3 * row + 3, 3 * row : 3 * row + 3] += observations.covariance[row]
     for rows in _by_position(observations):
-        rotation = _rotation(_balls(observations, artefact, rows), result.placed_mm[rows])
+        rotation = _rotation(_balls(observations, artefact, rows), placed_mm[rows])
         for row in rows:
             ball = int(observations.ball[row])
             rotations[3 * row : 3 * row + 3, 3 * ball : 3 * ball + 3] = rotation
         pattern = _pattern(observations, artefact, rows, rotation)
-        bases.append(_pose_free_basis(_motions(result.placed_mm[rows], pattern), rows, n))
-    # Residuals in the subspace free of the poses: r = Bᵀe, C = Bᵀ(field + touches + R C_cert Rᵀ)B, χ² = rᵀC⁻¹r; the
-    # residual is the error of the centres minus the deviation, so what both have in common is subtracted twice
+        bases.append(_pose_free_basis(_motions(placed_mm[rows], pattern), rows, n))
+    basis = np.concatenate(bases, axis=1)
+    field = field_covariance
+    # the residual is the error of the centres minus the deviation, so what both have in common is subtracted twice
     if shared is not None:
         common = rotations @ shared.T
-        total -= common + common.T
-    basis = np.concatenate(bases, axis=1)
-    covariance = basis.T @ (total + rotations @ artefact.covariance @ rotations.T) @ basis
-    left = basis.T @ result.residuals_mm.reshape(-1)
-    chi2 = float(left @ np.linalg.solve(covariance, left))
-    predicted = float(np.sqrt(3.0 * np.trace(covariance) / len(left)))
-    return HeldOutTest(predicted, chi2 / len(left), len(left))
+        field = field - (common + common.T)
+    turned = basis.T @ rotations
+    return HeldOutCovariance(
+        basis,
+        projected_touches(basis, observations.covariance),
+        turned @ artefact.covariance @ turned.T,
+        basis.T @ field @ basis,
+    )
+
+
+def projected_touches(basis: Array, covariance_mm2: Array) -> Array:
+    """Return the covariance (f, f) in mm² of touches with the covariances (n, 3, 3) of n ball centres, projected on the
+    columns of `basis` (3n, f)."""
+    columns = basis.reshape(len(covariance_mm2), 3, -1)
+    return np.asarray(basis.T @ (covariance_mm2 @ columns).reshape(basis.shape))
 
 
 def _by_position(observations: Observations) -> list[Indices]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 
 from agent.errors import GateRefused, MeasurementFault
 from agent.execution.journal import RunJournal
@@ -35,6 +34,7 @@ from agent.results.gates import (
     estimate_gates,
     gain_gate,
     names_of_failed,
+    proof_gate,
     require_passed,
     table_gates,
     with_consent,
@@ -48,7 +48,7 @@ from agent.results.table_replacement import (
     FormerBalls,
     confirm,
     expected_gain,
-    predicted_reduction,
+    proof_power,
     prove,
     written_parameters,
 )
@@ -129,10 +129,11 @@ def calibrated(
 
 @dataclass(frozen=True, eq=False)
 class _Weighed:
-    """Estimate of the machine, weighed against the active table: the expected gain of a new one, the gates, and the
-    way on."""
+    """Estimate of the machine, weighed against the active table: the expected gain of a new one, the power of its
+    proof, the gates, and the way on. The power is None if no table would be written anyway."""
 
     gain: ExpectedGain
+    power: float | None
     gates: tuple[Gate, ...]
     way: str
 
@@ -146,7 +147,7 @@ def _concluded(
     estimation = yield from estimated(
         job, lambda: _estimate(ready, job, measured), lambda: balls_for_estimate(job, measured)
     )
-    weighed = yield Conclude("identify/weighed", lambda: _weigh(task, ready, estimation))
+    weighed = yield Conclude("identify/weighed", lambda: _weigh(task, ready, estimation, measured))
 
     def passed() -> RunPlan:
         yield from checked_gates(lambda: weighed.gates)
@@ -183,9 +184,11 @@ def estimated(
     return estimation
 
 
-def _weigh(task: CalibrationTask, ready: PreparedRun, estimation: EstimationResult) -> _Weighed:
-    """Weigh a new table against the active one: it is confirmed unless the gain reaches the stated margin, or the
-    machine has changed."""
+def _weigh(
+    task: CalibrationTask, ready: PreparedRun, estimation: EstimationResult, measured: MeasuredPositions
+) -> _Weighed:
+    """Weigh a new table against the active one. The active one is confirmed unless the gain reaches the stated margin
+    or the machine has changed, and the proof can show the effect of the new one."""
     job = task.job
     new_um = estimation.volumetric.after_aligned.value_um
     gain = expected_gain(estimation.estimate, new_um, ready.correction, job.tool_offset_mm)
@@ -196,10 +199,24 @@ def _weigh(task: CalibrationTask, ready: PreparedRun, estimation: EstimationResu
     changed = task.changed or CHANGE in names_of_failed(gates)
     worth = None if changed else gain_gate(gain, job.settings.verification.min_gain)
     if worth is not None and not worth.passed:
-        return _Weighed(gain, gates, REFUSE if names_of_failed(gates) else KEEP)
-    gates = (*gates, *(() if worth is None else (worth,)))
-    gates = (*gates, *table_gates(estimation.table, estimation.travel, task.store, job.gate_limits))
-    return _Weighed(gain, gates, way_through(gates, task.consent))
+        return _Weighed(gain, None, gates, REFUSE if names_of_failed(gates) else KEEP)
+    to_write = (*gates, *(() if worth is None else (worth,)))
+    to_write = (*to_write, *table_gates(estimation.table, estimation.travel, task.store, job.gate_limits))
+    way = way_through(to_write, task.consent)
+    if way == REFUSE:
+        return _Weighed(gain, None, to_write, REFUSE)
+    proof = proof_gate(power_of_proof(job, ready, estimation, measured))
+    if proof.passed:
+        return _Weighed(gain, proof.value, (*to_write, proof), way)
+    if way == WRITE:
+        return _Weighed(gain, proof.value, gates, KEEP)
+    return _Weighed(gain, proof.value, (*to_write, proof), REFUSE)
+
+
+def power_of_proof(job: Job, ready: PreparedRun, estimation: EstimationResult, measured: MeasuredPositions) -> float:
+    """Return the probability that the proof accepts the table of the estimate if it works. Raises MeasurementFault if
+    too few held-out balls were measured."""
+    return proof_power(job, estimation, FormerBalls.of(job, estimation, measured, ready.correction))
 
 
 def way_through(gates: Sequence[Gate], consent: Consent) -> str:
@@ -249,7 +266,7 @@ def _kept(
 
     def confirmation() -> Confirmation:
         former = FormerBalls.of(job, estimation, measured, ready.correction)
-        return confirm(job, estimation, weighed().gain, former)
+        return confirm(job, estimation, weighed().gain, weighed().power, former)
 
     def record(journal: RunJournal, found: Confirmation) -> None:
         journal.decision(CONFIRMED, {**vars(found), "decision": Decision.CONFIRMED.value})
@@ -280,16 +297,7 @@ def written(
     """
     job, limits = task.job, task.store
     image = yield Conclude("publish/image", lambda: image_of(estimation.table, limits), STAND_IN_TABLE)
-
-    @cache
-    def former() -> FormerBalls:
-        return FormerBalls.of(job, estimation, measured, ready.correction)
-
-    def doubt() -> str:
-        reduction = predicted_reduction(job, estimation, former())
-        return "" if reduction.can_be_shown else f"the proof cannot be significant: {reduction.text}"
-
-    yield Enter("state/staging", RunState.STAGING, doubt)
+    yield Enter("state/staging", RunState.STAGING)
     bank = publish.choose_bank(limits.banks, ready.found.bank)
     yield from publish.stage_table(bank, image)
     yield from record_table("staged", bank, image)
@@ -309,7 +317,8 @@ def written(
     yield from note_measured(VERIFIED, verified)
 
     def proof() -> Proof:
-        return prove(job, estimation, former(), job.balls_of(verified, held_out=True))
+        former = FormerBalls.of(job, estimation, measured, ready.correction)
+        return prove(job, estimation, former, job.balls_of(verified, held_out=True))
 
     return (yield from _proved(task, ready, estimation, measured, verified, image, proof, after_proof))
 

@@ -139,8 +139,8 @@ class Judge:
         covariance = residual_covariance(
             prior.unknowns, prior.scales, left, prior.covariance, bare.axis_positions, offset
         )
-        expected = reference.test(bare, result, covariance, offset)
-        return UM_PER_MM * result.rms_mm, UM_PER_MM * expected.predicted_mm
+        expected = reference.covariance(bare, result, covariance, offset)
+        return UM_PER_MM * result.rms_mm, UM_PER_MM * expected.predicted_rms_mm
 
     def _reason(self, found: Innovation, jumped: Sequence[SuspectedJump], now_um: float) -> str:
         """Return the reason why the machine is out of limits; empty if it is within limits."""

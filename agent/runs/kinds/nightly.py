@@ -22,9 +22,9 @@ from agent.probing.publish import ActiveCompensation
 from agent.probing.repeated_positions import join_measured
 from agent.probing.run_plan import MEASURED, MeasuredPositions, measure_positions, note_measured
 from agent.results.estimation import EstimationResult, estimate_in_run
-from agent.results.gates import Gate, change_gate, estimate_gates, shape_gates
+from agent.results.gates import Gate, change_gate, estimate_gates, proof_gate, shape_gates
 from agent.results.observations import balls_for_estimate, observations_of
-from agent.results.run_outcome import Decision, NightReport, Proof
+from agent.results.run_outcome import Decision, NightReport, Proof, no_gain_text
 from agent.results.table_replacement import ExpectedGain
 from agent.runs.change_since_reference import change_since, fit_of_night
 from agent.runs.consent import Consent
@@ -36,6 +36,7 @@ from agent.runs.kinds.calibration import (
     checked_gates,
     estimated,
     gates_refused,
+    power_of_proof,
     way_through,
     written,
 )
@@ -350,20 +351,20 @@ def _estimated(running: _Night, measured: MeasuredPositions, judgement: Callable
     expected = yield Conclude("night/expected", lambda: _expected(task.judge, estimation, report))
     last_part = FURTHER if task.plan.further else VERIFICATION
     left = yield from running.slot.left_minutes("night/proof-left")
+    power = yield Conclude("night/power", lambda: _power(running, estimation, measured, expected))
 
     def choose() -> str:
         if way_through(gates, Consent.REFUSED) == REFUSE:
             return REFUSE
-        gain = ExpectedGain(expected.ve_now_um, expected.ve_after_um)
-        worthwhile = gain.reaches(job.settings.nightly.min_gain)
-        return WRITE if worthwhile and running.slot.needed_after(last_part) <= left else FUSE_KEPT
+        provable = power is not None and proof_gate(power).passed
+        return WRITE if provable and running.slot.needed_after(last_part) <= left else FUSE_KEPT
 
     return Fork(
         "night/choice",
         choose,
         {
             WRITE: lambda: _written(running, estimation, measured, lambda: gates, lambda: expected),
-            FUSE_KEPT: lambda: _kept(running, lambda: gates, lambda: expected),
+            FUSE_KEPT: lambda: _kept(running, lambda: gates, lambda: _with_power(expected, power)),
             REFUSE: lambda: gates_refused(lambda: gates),
         },
         expected=WRITE,
@@ -400,6 +401,24 @@ def _expected(judge: Judge, estimation: EstimationResult, report: NightReport) -
     now_um = judge.expected_ve_um(estimate, judge.reference.table.written)
     after_um = judge.expected_ve_um(estimate, estimate.parameters)
     return replace(report, ve_now_um=now_um, ve_after_um=after_um)
+
+
+def _power(
+    running: _Night, estimation: EstimationResult, measured: MeasuredPositions, expected: NightReport
+) -> float | None:
+    """Return the probability that the proof accepts a new table that works; None if such a table is not expected to be
+    better by the margin of a night."""
+    gain = ExpectedGain(expected.ve_now_um or 0.0, expected.ve_after_um or 0.0)
+    if not gain.reaches(running.job.settings.nightly.min_gain):
+        return None
+    return power_of_proof(running.job, running.ready, estimation, measured)
+
+
+def _with_power(report: NightReport, power: float | None) -> NightReport:
+    """Return `report` with the reason why the active table is kept, if the proof of a new one could not show a gain."""
+    if power is None or proof_gate(power).passed:
+        return report
+    return replace(report, reason=no_gain_text(power))
 
 
 def _kept(running: _Night, gates: Callable[[], Sequence[Gate]], report: Callable[[], NightReport]) -> RunPlan:

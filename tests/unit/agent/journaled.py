@@ -69,6 +69,9 @@ def proof(*, accepted: bool) -> Mapping[str, Any]:
         "after_um": 2.5,
         "predicted_um": 2.4,
         "chi2_normalised": 1.1,
+        "change": 0.98,
+        "gain": 0.9,
+        "limit": 0.2,
         "reason": "better than before and as predicted",
     }
 
