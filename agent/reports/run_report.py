@@ -350,6 +350,8 @@ def _night_rows(night: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("Consistency with the prediction", "–" if chi2 is None else f"normalised χ² {fixed(chi2, 2)}"),
         ("Abrupt changes", _error_changes(night["jumped"]) or "none"),
         ("Most likely cause", _error_changes(night["likeliest"]) or "–"),
+        *([("If one error changed", _possible_changes(night["alternatives"]))] if night.get("alternatives") else []),
+        *([("Drift in one direction", _drift(night["drift"]))] if night.get("drift") else []),
         *([("Warning", night["warning"])] if night.get("warning") else []),
         ("Reason", night["reason"] or "none"),
     ]
@@ -357,6 +359,21 @@ def _night_rows(night: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def _error_changes(found: list[Mapping[str, Any]]) -> str:
     return "; ".join(f"{one['error']} {one['change']:+.1f} {one['unit']} (ln {one['evidence']:.1f})" for one in found)
+
+
+def _possible_changes(found: list[Mapping[str, Any]]) -> str:
+    return "; or ".join(
+        f"{one['error']} {one['change']:+.1f} {one['unit']} ({100.0 * one['probability']:.0f} %)" for one in found
+    )
+
+
+def _drift(drift: Mapping[str, Any]) -> str:
+    suspects = "; or ".join(
+        f"{one['error']} {one['rate']:+.2g} ± {one['standard_uncertainty']:.1g} {one['unit']} a night "
+        f"({100.0 * one['probability']:.0f} %)"
+        for one in drift["suspects"]
+    )
+    return f"for about {drift['nights']:.0f} nights: {suspects}"
 
 
 def _um(value: float | None) -> str:

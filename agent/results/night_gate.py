@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 from agent.results.gates import NIGHT, Gate
+from agent.results.night_changes import drift_document, jump_documents, possible_text
 from agent.settings.schema import GateSettings
 from twin.monitoring.night_fit import NightFit
 
@@ -24,8 +25,8 @@ def night_text(fit: NightFit) -> str:
     if fit.suspect is None:
         return f"probability of such a night after the nights before: {figures}"
     return (
-        f"the night does not fit the nights before: {figures}; most likely {fit.suspect.text}. Check the machine and "
-        "the set-up, state a larger process noise, or calibrate in full"
+        f"the night does not fit the nights before: {figures}; most likely {possible_text(fit.suspects)}. Check the "
+        "machine and the set-up, state a larger process noise, or calibrate in full"
     )
 
 
@@ -40,4 +41,6 @@ def night_document(fit: NightFit) -> dict[str, Any]:
         "drift_factor": fit.factor,
         "drift_factor_expected": fit.expected_factor,
         "likeliest": None if suspect is None else suspect.text,
+        "suspects": jump_documents(fit.suspects),
+        "drift": drift_document(fit.drift),
     }

@@ -9,8 +9,11 @@ from pathlib import Path
 from agent.execution.states import RunState
 from agent.probing.reversal import AxisReversal
 from agent.results.estimation import NO_ESTIMATION, EstimationResult
+from agent.results.night_changes import drift_document, jump_documents
 from agent.results.trial_report import TrialReport
 from twin.artefact.effect_test import NO_GAIN, REQUIRED_POWER
+from twin.monitoring.constant_drift import FoundDrift
+from twin.monitoring.step_detection import PossibleJump
 
 
 @dataclass(frozen=True)
@@ -111,6 +114,10 @@ class SuspectedError:
         return f"{self.error} changed by {self.change:+.1f} {self.unit}"
 
 
+_OBJECTS = ("decision", "jumped", "likeliest", "alternatives", "drift")
+"""Fields of a night whose JSON is not their value."""
+
+
 @dataclass(frozen=True)
 class NightReport:
     """Comparison of the machine with the last accepted night, and the decision of a nightly run or verification.
@@ -130,7 +137,10 @@ class NightReport:
 
     `jumped` lists the machine errors for which there is sufficient evidence of a jump (sudden change). `likeliest`
     lists the errors whose jump would best explain the measurement, the likeliest first. It is filled even if the
-    evidence is not sufficient.
+    evidence is not sufficient. `alternatives` lists the errors that may have jumped if only one has, with their
+    probabilities; it is empty if `jumped` is.
+
+    `drift` is the drift of one error in one direction that a fused night and those before show; None if there is none.
     """
 
     decision: Decision
@@ -150,14 +160,18 @@ class NightReport:
     warning: str = ""
     jumped: tuple[SuspectedError, ...] = ()
     likeliest: tuple[SuspectedError, ...] = ()
+    alternatives: tuple[PossibleJump, ...] = ()
+    drift: FoundDrift | None = None
 
     def as_json(self) -> dict[str, object]:
         """Return this comparison as the JSON object that docs/reference/json.md describes."""
         return {
-            **{name: value for name, value in vars(self).items() if name not in ("decision", "jumped", "likeliest")},
+            **{name: value for name, value in vars(self).items() if name not in _OBJECTS},
             "decision": self.decision.value,
             "jumped": [vars(one) for one in self.jumped],
             "likeliest": [vars(one) for one in self.likeliest],
+            "alternatives": jump_documents(self.alternatives),
+            "drift": drift_document(self.drift),
         }
 
 

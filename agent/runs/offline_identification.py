@@ -35,6 +35,7 @@ from agent.results.gates import (
     require_passed,
     table_gates,
 )
+from agent.results.night_changes import drift_text
 from agent.results.night_gate import night_document, night_gate, night_text
 from agent.results.table_replacement import ExpectedGain
 from agent.settings.schema import GateSettings, Order, TableSettings, VerificationSettings
@@ -428,6 +429,8 @@ def _warnings(result: IdentificationResult, options: Options) -> tuple[str, ...]
         notes.append(estimation.thermometer.warning)
     if material.night is not None and not material.night.fits:
         notes.append(f"{_sentence(night_text(material.night))}.")
+    if material.night is not None and material.night.drift is not None:
+        notes.append(f"{_sentence(drift_text(material.night.drift))}.")
     if not options.use_prior:
         notes.append("Without the family, unseen directions count as zero: the stated uncertainties leave them out.")
     calibration = estimation.estimate.artefact_calibration

@@ -12,14 +12,18 @@ from campaigns.foreign.artefact import S3, STATIONS_MM, ForeignBar, measure, til
 from campaigns.foreign.machine import GRID, TOOL, ForeignMachine, Motion, Waves, foreign_machine
 from campaigns.foreign.score import family_of, true_error_um
 from twin.artefact.observations import Observations
-from twin.identification import Estimate, Options, identify, predicted_vce, process_noise
+from twin.identification import Estimate, Options, identify, process_noise
 from twin.identification.identify import accepted_rows
+from twin.identification.predicted import expected_vce, field_forms
 from twin.monitoring.night_fit import NightFit, compare_with_nights_before
+from twin.uncertainty.volumetric_limits import limits_of_form
 
 NIGHTS, STEP_NIGHT, STATED_UM, SEED = 60, 20, 0.5, 7
 FAMILY = family_of(5)
 _STEP_MM, _SEASON_NIGHTS, _POSITIONS, _WAVES = 12e-3, 45.0, 5, 9
 _SLOPES_MM, _TURNS_RAD = np.array([30e-3, 18e-3, 21e-3]), 6e-6
+_SQUARENESS = ("A0Z", "B0Z", "C0Y")
+_SQUARENESS_WALK_RAD, _BENDING_WALK_UM = 0.3e-6, 0.2
 
 Change = Callable[[ForeignMachine, int, np.random.Generator], ForeignMachine]
 """Function that returns the machine of a night from the machine of the night before and the number of the night."""
@@ -39,6 +43,50 @@ def straightness_steps(machine: ForeignMachine, night: int, rng: np.random.Gener
 def walk(machine: ForeignMachine, night: int, rng: np.random.Generator) -> ForeignMachine:
     """Let the error motions of all axes walk, by about the 0.5 µm a night that is stated."""
     return _walked(machine, 0.22, rng, (0, 1, 2))
+
+
+def still(machine: ForeignMachine, night: int, rng: np.random.Generator) -> ForeignMachine:
+    """Leave the machine as it is."""
+    return machine
+
+
+def drift(error: str, per_night: float, first_night: int = 1) -> Change:
+    """Return the change by which one error grows by a constant amount per night from `first_night` on.
+
+    `error` is named as in ISO 230-1. An error motion turns into a straight line over the travel, whose ends differ by
+    `per_night` more every night; a squareness changes by `per_night`. The amount is in mm or rad.
+    """
+
+    def change(machine: ForeignMachine, night: int, rng: np.random.Generator) -> ForeignMachine:
+        return _sloped(machine, error, per_night) if night >= first_night else machine
+
+    return change
+
+
+def step(error: str, size: float, at: int = STEP_NIGHT) -> Change:
+    """Return the change by which one error grows by `size`, in mm or rad, in the night `at`: an error motion by one
+    wave over the travel, a squareness by an angle."""
+
+    def change(machine: ForeignMachine, night: int, rng: np.random.Generator) -> ForeignMachine:
+        if night != at:
+            return machine
+        if error in _SQUARENESS:
+            return _sloped(machine, error, size)
+        axis, component = _place_of(error)
+        bent = np.zeros((6, _WAVES))
+        bent[component, 1] = size
+        return _with_change(machine, axis, bent, np.zeros(6))
+
+    return change
+
+
+def walk_of_everything(machine: ForeignMachine, night: int, rng: np.random.Generator) -> ForeignMachine:
+    """Let error motions, squareness and the deflection of ram and column walk, by about 0.5 µm a night."""
+    walked = walk(machine, night, rng)
+    squareness = walked.squareness + rng.normal(0.0, _SQUARENESS_WALK_RAD, 3)
+    bending = walked.bending.copy()
+    bending[[0, 2, 3, 4, 5]] += rng.normal(0.0, _BENDING_WALK_UM, 5)  # the second is an exponent
+    return replace(walked, squareness=squareness, bending=bending)
 
 
 def season(machine: ForeignMachine, night: int, rng: np.random.Generator) -> ForeignMachine:
@@ -70,6 +118,25 @@ def _walked(machine: ForeignMachine, size: float, rng: np.random.Generator, axes
     return replace(machine, motions=(x, y, z))
 
 
+def _place_of(error: str) -> tuple[int, int]:
+    """Return the axis of an error motion, and its place among displacements along and rotations about X, Y and Z."""
+    return "XYZ".index(error[2]), "XYZABC".index(error[1])
+
+
+def _sloped(machine: ForeignMachine, error: str, amount: float) -> ForeignMachine:
+    if error in _SQUARENESS:
+        return replace(machine, squareness=machine.squareness + amount * np.eye(3)[_SQUARENESS.index(error)])
+    axis, component = _place_of(error)
+    return _with_change(machine, axis, np.zeros((6, _WAVES)), amount * np.eye(6)[component])
+
+
+def _with_change(machine: ForeignMachine, axis: int, amplitude: np.ndarray, slope: np.ndarray) -> ForeignMachine:
+    motions = list(machine.motions)
+    motions[axis] = _changed(motions[axis], amplitude, slope)
+    x, y, z = motions
+    return replace(machine, motions=(x, y, z))
+
+
 @dataclass(frozen=True)
 class _Drifted:
     """Error motion of an axis at the start, and its change since then."""
@@ -95,7 +162,8 @@ def _changed(motion: Motion, amplitude: np.ndarray, slope: np.ndarray) -> Motion
 @dataclass(frozen=True)
 class NightScore:
     """One night: the machine of this night, its estimate, its comparison with the nights before, and the true and the
-    predicted error in µm that the estimate leaves after the best rigid motion is removed."""
+    predicted error in µm that the estimate leaves after the best rigid motion is removed. `limits_um` are the stated
+    95 % limits of that error."""
 
     number: int
     machine: ForeignMachine
@@ -103,10 +171,16 @@ class NightScore:
     fit: NightFit
     true_um: float
     predicted_um: float
+    limits_um: tuple[float, float]
 
     @property
     def ratio(self) -> float:
         return self.true_um / self.predicted_um
+
+    @property
+    def held(self) -> bool:
+        """True if the stated limits contain the true error."""
+        return self.limits_um[0] <= self.true_um <= self.limits_um[1]
 
 
 @dataclass(frozen=True)
@@ -144,10 +218,7 @@ def fused_nights(
         accepted = seen.select(accepted_rows(FAMILY, seen, artefact, Options()))
         fit = compare_with_nights_before(FAMILY, accepted, artefact, estimate.carried_over(), noise)
         estimate = identify(FAMILY.model, seen, artefact, FAMILY, Options(carried_over=fit.prior))
-        true_um = true_error_um(night.machine, estimate)
-        scores.append(NightScore(number, night.machine, estimate, fit, true_um, predicted_um(estimate)))
+        true_um, forms = true_error_um(night.machine, estimate), field_forms(estimate, GRID, TOOL)
+        predicted_um, limits_um = expected_vce(estimate, forms).aligned_um, limits_of_form(estimate, forms[1]).vce_um
+        scores.append(NightScore(number, night.machine, estimate, fit, true_um, predicted_um, limits_um))
     return scores
-
-
-def predicted_um(estimate: Estimate) -> float:
-    return predicted_vce(estimate, GRID, TOOL).aligned_um

@@ -24,11 +24,15 @@ from campaigns.foreign.nights import (
     Change,
     MeasuredNight,
     NightScore,
+    drift,
     fused_nights,
     measured_nights,
     one_axis_only,
     season,
+    step,
+    still,
     straightness_steps,
+    walk_of_everything,
 )
 from twin.formats.estimate_file import format_estimate, parse_estimate
 
@@ -141,3 +145,64 @@ def test_a_drift_that_is_not_stated_does_not_fit(
     start.write_text(format_estimate(estimate, {}), encoding="utf-8")
     found = identified(later, start, tmp_path / "later")
     assert found["night"]["fits"] is False
+
+
+EXX_DRIFT = drift("EXX", 1.5e-3)
+SHORT = 20
+"""Nights with a drift in one direction."""
+
+
+twenty_nights = cache(lambda change, seed: fused_nights(change, SHORT, seed=seed))
+
+
+@pytest.mark.parametrize(
+    ("error", "per_night", "unit"), [("EBX", 0.8e-6, "µrad"), ("EXX", 1.5e-3, "µm"), ("B0Z", 0.5e-6, "µrad")]
+)
+def test_a_drift_in_one_direction_is_named_and_followed(error: str, per_night: float, unit: str) -> None:
+    change = EXX_DRIFT if error == "EXX" else drift(error, per_night)
+    nights = twenty_nights(change, 1)
+    told = [night.number for night in nights if night.fit.drift is not None]
+    assert told[0] <= 18
+    found = nights[-1].fit.drift
+    assert found is not None
+    suspect = found.suspects[0]
+    assert (suspect.error, suspect.unit) == (error, unit)
+    true_rate = per_night * (1e6 if unit == "µrad" else 1e3)
+    assert suspect.rate == pytest.approx(true_rate, abs=3.0 * suspect.standard_uncertainty)
+    assert 0.0 < suspect.standard_uncertainty < 0.5 * true_rate
+    assert found.nights >= 0.7 * SHORT
+    assert max(night.ratio for night in nights if night.number >= told[0]) < 1.35
+    assert np.mean([night.held for night in nights]) >= 0.9
+
+
+@pytest.mark.parametrize("change", [still, walk_of_everything])
+def test_without_a_drift_none_is_told(change: Change) -> None:
+    nights = twenty_nights(change, 1)
+    assert [night.number for night in nights if night.fit.drift is not None] == []
+    assert np.mean([night.held for night in nights]) >= 0.9
+
+
+def test_a_step_is_told_with_the_alternatives_that_the_station_cannot_exclude() -> None:
+    """A wave of EYX looks like a slope at the one station that was measured."""
+    nights = fused_nights(step("EYX", 12e-3, at=10), 10, seed=1)
+    assert [night.number for night in nights if not night.fit.fits] == [10]
+    possible = {one.jump.error: one.probability for one in nights[-1].fit.suspects}
+    assert {"C0Y", "EYX"} <= set(possible)
+    assert possible["EYX"] > 0.03
+    assert sum(possible.values()) >= 0.95
+
+
+def test_the_command_tells_a_drift(tmp_path: Path) -> None:
+    *before, _ = twenty_nights(EXX_DRIFT, 1)
+    *_, night = islice(measured_nights(EXX_DRIFT, SHORT, 1), SHORT + 1)
+    earlier = tmp_path / "earlier.json"
+    earlier.write_text(format_estimate(before[-1].estimate, {}), encoding="utf-8")
+    found = identified(night, earlier, tmp_path / "drift", "--process-noise-um", str(STATED_UM))
+    told = found["night"]["drift"]
+    assert told["suspects"][0]["error"] == "EXX"
+    assert told["false_alarm"] <= 0.01
+    assert told["nights"] == pytest.approx(SHORT, abs=6.0)
+    report = (tmp_path / "drift" / "report.html").read_text(encoding="utf-8")
+    assert "The machine drifts in one direction: EXX by +1." in report
+    stored = parse_estimate((tmp_path / "drift" / "estimate.json").read_text(), "estimate.json").carried_over()
+    assert stored.trend.rates is not None

@@ -18,8 +18,9 @@ from twin.arrays import Array
 from twin.artefact.artefact_calibration import COVERAGE_FACTOR, ArtefactCalibration
 from twin.artefact.certificate import BallDistance
 from twin.errors import FormatError, TwinError
+from twin.formats.drift_section import read_trend
 from twin.formats.json_reading import read_json
-from twin.formats.prior_section import CarriedOverSection, carried_over_document, read_moments, read_unknowns
+from twin.formats.prior_section import KEY, CarriedOverSection, carried_over_document, read_moments, read_unknowns
 from twin.formats.toml_reading import StrictModel
 from twin.identification import (
     BallCheck,
@@ -31,6 +32,7 @@ from twin.identification import (
     Scales,
     StepInRun,
 )
+from twin.identification.drift_trend import DriftTrend
 from twin.identification.unknowns import Unknowns
 from twin.machine.error_model import ErrorModel
 from twin.machine.kinematic_chain import parse_chain
@@ -245,6 +247,7 @@ class StoredEstimate:
     unknowns: Unknowns
     z: Array
     z_covariance: Array
+    trend: DriftTrend
     document: EstimateFile
 
     @property
@@ -266,7 +269,7 @@ class StoredEstimate:
         scales = self.document.scales.scales
         factor = DriftFactor(**self.document.carried_over.drift_factor.model_dump())
         freedom = self.document.degrees_of_freedom
-        return CarriedOverPrior(self.unknowns, self.z, self.z_covariance, scales, factor, freedom)
+        return CarriedOverPrior(self.unknowns, self.z, self.z_covariance, scales, factor, freedom, self.trend)
 
 
 def format_estimate(
@@ -314,7 +317,7 @@ def format_estimate(
         "artefact_calibration": calibration_document(estimate.artefact_calibration),
         "volumetric": None if volumetric is None else volumetric.model_dump(),
         "carried_over": carried_over_document(
-            estimate.unknowns, estimate.z, estimate.z_covariance, estimate.drift_factor
+            estimate.unknowns, estimate.z, estimate.z_covariance, estimate.drift_factor, estimate.trend
         ),
     }
     return _text(document) + "\n"
@@ -420,6 +423,7 @@ def parse_estimate(text: str, source: str) -> StoredEstimate:
     _check_names(document, model, source)
     unknowns = read_unknowns(document.carried_over, model, source)
     z, z_covariance = read_moments(document.carried_over, unknowns.blocks.size, source)
+    trend = read_trend(document.carried_over.trend, unknowns, source, f"{KEY}.trend")
     return StoredEstimate(
         model=model,
         parameters=np.array([parameter.value for parameter in document.parameters]),
@@ -428,6 +432,7 @@ def parse_estimate(text: str, source: str) -> StoredEstimate:
         unknowns=unknowns,
         z=z,
         z_covariance=z_covariance,
+        trend=trend,
         document=document,
     )
 

@@ -13,7 +13,10 @@ from pydantic import Field
 
 from twin.arrays import Array
 from twin.errors import FormatError
+from twin.formats.drift_section import DriftTrendSection, trend_document
+from twin.formats.stored_arrays import lower_triangle, stored_array, symmetric_matrix
 from twin.formats.toml_reading import StrictModel
+from twin.identification.drift_trend import DriftTrend
 from twin.identification.misfit import MISFIT_KINDS, MisfitModes
 from twin.identification.prior_from_estimate import DriftFactor
 from twin.identification.unknowns import ArtefactErrors, Unknowns
@@ -69,9 +72,9 @@ class CarriedOverSection(StrictModel):
     prior.
 
     `mean` and `covariance` are in units of the prior standard deviations. Only the lower triangle of the covariance is
-    stored, row by row. `scale` contains the unit of each parameter in mm or rad. `drift_factor` is absent if no
-    night has told anything about the drift yet. `stated_noise_mm2` is the stated variance in mm² of one coordinate of a
-    measured ball centre.
+    stored, row by row. `scale` contains the unit of each parameter in mm or rad. `drift_factor` and `trend` are absent
+    if no night has told anything about the drift yet. `stated_noise_mm2` is the stated variance in mm² of one
+    coordinate of a measured ball centre.
     """
 
     scale: Row
@@ -81,10 +84,11 @@ class CarriedOverSection(StrictModel):
     covariance: Rows
     drift_factor: DriftFactorSection = DriftFactorSection(**vars(DriftFactor()))
     stated_noise_mm2: float = Field(default=0.0, ge=0.0)
+    trend: DriftTrendSection = DriftTrendSection()
 
 
 def carried_over_document(
-    unknowns: Unknowns, mean: Array, covariance: Array, drift_factor: DriftFactor
+    unknowns: Unknowns, mean: Array, covariance: Array, drift_factor: DriftFactor, trend: DriftTrend
 ) -> dict[str, Any]:
     """Return the section of an estimate file that makes the estimate usable as a prior, as a JSON object."""
     errors = unknowns.artefact
@@ -100,9 +104,10 @@ def carried_over_document(
         },
         "misfit": None if unknowns.modes is None else _misfit_document(unknowns.modes, unknowns.misfit_mm),
         "mean": mean.tolist(),
-        "covariance": [row[: index + 1] for index, row in enumerate(covariance.tolist())],
+        "covariance": lower_triangle(covariance),
         **({} if drift_factor == DriftFactor() else {"drift_factor": vars(drift_factor)}),
         "stated_noise_mm2": unknowns.stated_noise_mm2,
+        **({"trend": trend_document(trend, unknowns)} if trend else {}),
     }
 
 
@@ -165,19 +170,9 @@ def read_moments(section: CarriedOverSection, size: int, source: str) -> tuple[A
     """Return the mean (P,) and the covariance (P, P) of the P unknowns from a section of an estimate file. `size` is
     the expected number P. Raise FormatError if the stored sizes differ from P."""
     mean = _array(section.mean, (size,), source, "mean")
-    if [len(row) for row in section.covariance] != list(range(1, size + 1)):
-        message = f"the covariance must have {size} rows of 1 to {size} numbers (its lower triangle)"
-        raise FormatError(message, file=source, key=f"{KEY}.covariance")
-    covariance = np.zeros((size, size))
-    for index, row in enumerate(section.covariance):
-        covariance[index, : index + 1] = covariance[: index + 1, index] = row
+    covariance = symmetric_matrix(section.covariance, size, source, f"{KEY}.covariance")
     return mean, covariance
 
 
 def _array(values: object, shape: tuple[int, ...], source: str, key: str) -> Array:
-    try:
-        array = np.array(values, dtype=np.float64).reshape(shape)
-    except ValueError:
-        wanted = " x ".join(str(count) for count in shape)
-        raise FormatError(f"{wanted} numbers are required", file=source, key=f"{KEY}.{key}") from None
-    return array
+    return stored_array(values, shape, source, f"{KEY}.{key}")

@@ -15,6 +15,7 @@ from twin.identification.checks.certificate_check import BallCheck, check_certif
 from twin.identification.checks.common_scale import CommonScale
 from twin.identification.checks.shift_pattern import PatternTest
 from twin.identification.checks.step_in_run import StepInRun
+from twin.identification.drift_trend import DriftTrend
 from twin.identification.evidence import OrderEvidence, scales_at_bounds
 from twin.identification.misfit import MisfitModes
 from twin.identification.observability import NullDirection, Observability, observability, summary
@@ -64,12 +65,13 @@ class Estimate:
     standard deviations. `alternatives` contains results of equal weight for other scales that the measurements allow.
     `order_evidence` contains the evidence (marginal likelihood) of each Legendre order that was compared; it is empty
     if the order was given. `drift` is the drift of the machine during the measurement, or None if drift was not
-    estimated. `drift_factor` is the factor on the process noise between nights that was learned until this estimate.
-    `free_balls` contains the balls whose certified centres contradict the measurements; the estimate does not use these
-    centres. `step` is the result of the test for a sudden change of the machine during the measurement; it is None if
-    the measurements were used unchecked. `pattern` is the result of the test for shifts that follow a pattern over all
-    positions; None likewise. `common_scale` is the result of the test of the scale that all axes have in common; None
-    likewise, or if an estimate was carried over.
+    estimated. `drift_factor` is the factor on the process noise between nights that was learned until this estimate,
+    and `trend` is the knowledge about errors that drift in one direction. `free_balls` contains the balls whose
+    certified centres contradict the measurements; the estimate does not use these centres. `step` is the result of the
+    test for a sudden change of the machine during the measurement; it is None if the measurements were used unchecked.
+    `pattern` is the result of the test for shifts that follow a pattern over all positions; None likewise.
+    `common_scale` is the result of the test of the scale that all axes have in common; None likewise, or if an estimate
+    was carried over.
     """
 
     model: ErrorModel
@@ -91,6 +93,7 @@ class Estimate:
     order_evidence: tuple[OrderEvidence, ...] = ()
     drift: DriftEstimate | None = field(default=None, repr=False)
     drift_factor: DriftFactor = field(default_factory=DriftFactor)
+    trend: DriftTrend = field(default_factory=DriftTrend, repr=False)
     free_balls: tuple[int, ...] = ()
     step: StepInRun | None = None
     pattern: PatternTest | None = None
@@ -103,7 +106,13 @@ class Estimate:
         If it is None, the machine is assumed not to change.
         """
         known = CarriedOverPrior(
-            self.unknowns, self.z, self.z_covariance, self.scales, self.drift_factor, self.degrees_of_freedom
+            self.unknowns,
+            self.z,
+            self.z_covariance,
+            self.scales,
+            self.drift_factor,
+            self.degrees_of_freedom,
+            self.trend,
         )
         return known if process_noise is None else known.after(process_noise, nights)
 

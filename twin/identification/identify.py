@@ -21,6 +21,7 @@ from twin.identification.checks.slipped_position import Slip, slip_in
 from twin.identification.checks.step_in_run import StepInRun, evidence_of_step, step_in_run
 from twin.identification.checks.wrong_balls import WrongBallSearch, is_isolated, with_free_balls
 from twin.identification.distances import DistanceEquations
+from twin.identification.drift_trend import DriftTrend
 from twin.identification.estimate import Estimate, Misfit
 from twin.identification.evidence import PRIOR
 from twin.identification.options import Options
@@ -285,6 +286,7 @@ def _estimate(whole: IdentificationProblem, selection: _RowSelection, options: O
         ),
         drift=_drift(whole, solution),
         drift_factor=DriftFactor() if options.carried_over is None else options.carried_over.drift_factor,
+        trend=DriftTrend() if options.carried_over is None else options.carried_over.trend,
         free_balls=() if options.weights == "unit" else selection.free,
         step=findings.step,
         pattern=findings.pattern,

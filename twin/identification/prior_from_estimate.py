@@ -4,14 +4,15 @@ Without process noise, the machine, the artefact and the misfit are assumed to b
 the second night is therefore the joint Gaussian posterior of all unknowns that the two nights share. The result is
 then, up to rounding, the same as from one fit of the measurements of both nights. With process noise, the machine is
 assumed to change between the nights by a random walk: of its parameters by stated amounts, and of its misfit in the
-same proportion. A factor on these amounts is learned from the nights and carried on with the estimate.
+same proportion. A factor on these amounts is learned from the nights and carried on with the estimate, and so is the
+knowledge about errors that drift in one direction (module `twin.identification.drift_trend`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,9 +20,10 @@ from scipy.linalg.lapack import dpotrf
 
 from twin.arrays import Array, as_vector
 from twin.errors import DataError
+from twin.identification.drift_trend import DriftRates, DriftStart, DriftTrend
 from twin.identification.normal import JointPrior
 from twin.identification.scales import Scales
-from twin.identification.unknowns import Unknowns
+from twin.identification.unknowns import Indices, Unknowns
 from twin.machine.machine_population import Family
 from twin.machine.volumetric import QuadraticForm, evaluation_grid
 
@@ -51,6 +53,7 @@ class CarriedOverPrior:
     `mean` (P,) and `covariance` (P, P) of z are in the units of `unknowns`. `scales` are the factors on the standard
     deviations of noise, prior and misfit in the earlier estimate. `drift_factor` is the factor on the process noise, as
     learned from the nights until then. `degrees_of_freedom` are those from which the scale of the noise was estimated.
+    `trend` is the knowledge about errors that drift in one direction.
     Raises DataError, which names the unknown, if the covariance is singular or invalid.
     """
 
@@ -60,6 +63,7 @@ class CarriedOverPrior:
     scales: Scales
     drift_factor: DriftFactor = DriftFactor()
     degrees_of_freedom: float = math.inf
+    trend: DriftTrend = field(default_factory=DriftTrend)
 
     def __post_init__(self) -> None:
         size = self.unknowns.blocks.size
@@ -90,17 +94,46 @@ class CarriedOverPrior:
         left_out = blocks.strain.start + artefact.strain_names.index("thermometer")
         unknowns = replace(self.unknowns, artefact=replace(artefact, thermometer_standard_uncertainty_k=0.0))
         covariance = np.delete(np.delete(self.covariance, left_out, axis=0), left_out, axis=1)
-        return replace(self, unknowns=unknowns, mean=np.delete(self.mean, left_out), covariance=covariance)
+        mean, trend = np.delete(self.mean, left_out), self.trend.without(left_out)
+        return replace(self, unknowns=unknowns, mean=mean, covariance=covariance, trend=trend)
 
     def after(self, process_noise: ArrayLike, nights: float = 1.0) -> CarriedOverPrior:
-        """Return the prior `nights` nights later, with the random walk of parameters and misfit added.
+        """Return the prior `nights` nights later, moved by the rates of errors that drift in one direction, and with
+        the random walk of parameters and misfit added. The knowledge about the drift is left out of it.
 
         `process_noise` (p,) contains the stated standard deviation of the walk of each of the p parameters per night,
         in mm or rad. All standard deviations of the walk are multiplied by the drift factor.
         """
-        covariance = self.covariance.copy()
+        moved = self.drifted(nights)
+        covariance = moved.covariance.copy()
         np.einsum("ii->i", covariance)[:] += self.drift_factor.value**2 * self.walk_variances(process_noise, nights)
-        return replace(self, covariance=covariance)
+        return replace(moved, covariance=covariance, trend=DriftTrend())
+
+    def drifted(self, nights: float) -> CarriedOverPrior:
+        """Return the prior `nights` nights later, moved by the rates of errors that drift in one direction, with the
+        walk of these errors about their drift, but without the random walk of the machine."""
+        rates = self.trend.rates
+        if rates is None:
+            return self
+        mean, covariance = self.mean.copy(), self.covariance.copy()
+        mean[rates.columns] += nights * rates.mean
+        covariance[:, rates.columns] += nights * rates.cross
+        covariance[rates.columns] += nights * rates.cross.T
+        covariance[np.ix_(rates.columns, rates.columns)] += nights**2 * rates.covariance
+        covariance[rates.columns, rates.columns] += nights * rates.walk_variances
+        return replace(self, mean=mean, covariance=covariance, trend=replace(self.trend, rates=rates.predicted(nights)))
+
+    def with_rates(self, start: DriftStart, rates: DriftRates) -> CarriedOverPrior:
+        """Return the prior if the errors with these `rates` drift since `start`, which it did not know of. The sums of
+        the trend, which refer to a machine without this drift, are left out of it."""
+        effect = start.effect[:, rates.columns]
+        known = self.trend.rates
+        return replace(
+            self,
+            mean=self.mean + effect @ rates.mean,
+            covariance=self.covariance + effect @ rates.covariance @ effect.T,
+            trend=DriftTrend((), rates if known is None else known.joined(rates)),
+        )
 
     def walk_variances(self, process_noise: ArrayLike, nights: float = 1.0) -> Array:
         """Return the variance (P,) that a random walk of the machine adds to each of the P unknowns in `nights` nights,
@@ -146,10 +179,7 @@ def process_noise(family: Family, field_mm: float, tool_offset: ArrayLike) -> Ar
 def joint_prior_for(unknowns: Unknowns, carried: CarriedOverPrior) -> JointPrior:
     """Return the carried-over prior, rearranged for the unknowns of the identification of another night. An unknown
     that the earlier estimate does not contain keeps its own prior."""
-    pairs = list(_shared(carried.unknowns, unknowns))
-    there, here = (
-        np.concatenate([np.arange(part.start, part.stop) for part in parts]) for parts in zip(*pairs, strict=True)
-    )
+    there, here = shared_unknowns(carried.unknowns, unknowns)
     size = unknowns.blocks.size
     taken, precision, information_vector = np.zeros(size, dtype=bool), np.zeros((size, size)), np.zeros(size)
     # marginal posterior of the shared unknowns as precision C⁻¹ and information vector C⁻¹ m
@@ -159,6 +189,15 @@ def joint_prior_for(unknowns: Unknowns, carried: CarriedOverPrior) -> JointPrior
     precision[np.ix_(here, here)] = inverse
     information_vector[here] = inverse @ carried.mean[there]
     return JointPrior(taken, precision, information_vector)
+
+
+def shared_unknowns(old: Unknowns, new: Unknowns) -> tuple[Indices, Indices]:
+    """Return the indices (m,) of the unknowns that both identifications share, in the old z and in the new z."""
+    pairs = list(_shared(old, new))
+    there, here = (
+        np.concatenate([np.arange(part.start, part.stop) for part in parts]) for parts in zip(*pairs, strict=True)
+    )
+    return there, here
 
 
 def _shared(old: Unknowns, new: Unknowns) -> Iterator[tuple[slice, slice]]:

@@ -19,6 +19,10 @@ distributions, it would have a χ² distribution with one degree of freedom. It 
 is larger than the drift learned so far. The third is the largest likelihood ratio of a jump of one of the 21 errors
 (module `step_detection`). The expected likelihood ratio of a jump is 1 if there was none, so the probability that it
 exceeds R is at most 1/R (Markov's inequality), and 21/R for the largest of 21.
+
+The nights together are tested for errors that drift in one direction (module `constant_drift`). If one is found, its
+rate becomes an unknown of the nights: the comparison is repeated with the estimate of the night before, corrected for
+the drift until then, so that neither the estimate nor the drift factor has to follow it by a random walk.
 """
 
 from __future__ import annotations
@@ -33,11 +37,18 @@ from scipy.special import chdtrc, fdtrc
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
+from twin.identification.drift_trend import DriftTrend, NightMeasurement
 from twin.identification.jump import ERRORS, SuspectedJump
 from twin.identification.options import Options
-from twin.identification.prior_from_estimate import UNKNOWN_LOG_DEVIATION, CarriedOverPrior, DriftFactor
+from twin.identification.prior_from_estimate import (
+    UNKNOWN_LOG_DEVIATION,
+    CarriedOverPrior,
+    DriftFactor,
+    shared_unknowns,
+)
 from twin.machine.machine_population import Family
-from twin.monitoring.step_detection import Innovation, innovation
+from twin.monitoring.constant_drift import FoundDrift, begun_drift, found_drift, still_drifts
+from twin.monitoring.step_detection import Innovation, PossibleJump, innovation
 
 FALSE_ALARM = 1e-3
 """Probability that a night is said not to fit although the machine drifts as before."""
@@ -58,8 +69,9 @@ class NightFit:
 
     `chi2_normalised` is the χ² of the innovation per equation, for the drift expected before this night. `probability`
     is the probability of a night that contradicts the prediction as much as this one or more, if the machine drifts as
-    before; `fits` is True if it is not below the accepted probability of a false alarm. `suspect` is the error whose
-    sudden change would explain a night that does not fit best; it is None if the night fits.
+    before; `fits` is True if it is not below the accepted probability of a false alarm. `suspects` are the errors whose
+    sudden change would explain a night that does not fit, the likeliest first; it is empty if the night fits. `drift`
+    is the drift in one direction that all nights together show; None if there is none.
     """
 
     prior: CarriedOverPrior
@@ -67,7 +79,13 @@ class NightFit:
     chi2_normalised: float
     probability: float
     fits: bool
-    suspect: SuspectedJump | None
+    suspects: tuple[PossibleJump, ...] = ()
+    drift: FoundDrift | None = None
+
+    @property
+    def suspect(self) -> SuspectedJump | None:
+        """Likeliest sudden change; None if the night fits."""
+        return self.suspects[0].jump if self.suspects else None
 
     @property
     def factor(self) -> float:
@@ -90,29 +108,79 @@ def compare_with_nights_before(
 
     `known` does not include the drift since then. `process_noise` (p,) is the stated standard deviation of the change
     of each of the p parameters per night, in mm or rad, and `nights` is the number of nights. `options` are those of
-    the identification of this night. Raises DataError if the model, the artefact or the balls do not match.
+    the identification of this night. `night_false_alarm` is the accepted probability of a false alarm of the test of
+    the night. Raises DataError if the model, the artefact or the balls do not match.
     """
-    before = innovation(family, observations, artefact, known, options)
-    drift = _DriftLikelihood.of(before, known, known.walk_variances(process_noise, nights))
-    expected = known.drift_factor
-    chi2 = (before.chi2 - drift.explained(expected.value)) / before.rows
-    suspect = innovation(family, observations, artefact, known.after(process_noise, nights), options).suspects()[0]
-    chances = [
-        _exceedance(chi2, before.rows, known.degrees_of_freedom),
-        len(ERRORS) * math.exp(-max(suspect.evidence, 0.0)),
-    ]
-    # Without information about the drift (no process noise, or none that the balls show), the factor stays.
-    learned = expected
-    if drift.informative:
-        widened = replace(expected, log_deviation=math.hypot(expected.log_deviation, _WIDENING))
-        chances.append(drift.probability_of_larger(widened))
-        learned = drift.posterior(widened)
-    probability = min(1.0, len(chances) * min(chances))  # Bonferroni
-    fits = probability >= night_false_alarm
-    if not fits and drift.informative:
-        learned = drift.posterior(DriftFactor(expected.value))  # a sudden change has a size of its own
-    prior = replace(known, drift_factor=learned).after(process_noise, nights)
-    return NightFit(prior, expected.value, chi2, probability, fits, None if fits else suspect)
+    night = _Night(family, observations, artefact, process_noise, nights, options, night_false_alarm)
+    known = night.fitting(known)
+    fit, trend = night.compare(known)
+    begun = begun_drift(known.unknowns, known.trend, trend)
+    if begun is not None:
+        known = known.with_rates(*begun)
+        fit, trend = night.compare(known)
+    elif not fit.fits:
+        trend = replace(trend, starts=())
+    if trend.rates is not None and not still_drifts(trend.rates):
+        trend = replace(trend, rates=None)
+    drift = None if trend.rates is None else found_drift(known.unknowns, trend.rates)
+    return replace(fit, prior=replace(fit.prior, trend=trend), drift=drift)
+
+
+@dataclass(frozen=True, eq=False)
+class _Night:
+    """Ball centres of a night, `nights` nights after the last one, and what is stated about the drift since then."""
+
+    family: Family
+    observations: Observations
+    artefact: Artefact
+    process_noise: ArrayLike
+    nights: float
+    options: Options | None
+    night_false_alarm: float
+
+    @staticmethod
+    def fitting(known: CarriedOverPrior) -> CarriedOverPrior:
+        """Return `known` without a trend that refers to other unknowns."""
+        fits = known.trend.size in (None, known.unknowns.blocks.size)
+        return known if fits else replace(known, trend=DriftTrend())
+
+    def compare(self, known: CarriedOverPrior) -> tuple[NightFit, DriftTrend]:
+        """Return the comparison with `known`, and the trend after this night."""
+        moved, nights = known.drifted(self.nights), self.nights
+        before = self._innovation(moved)
+        drift = _DriftLikelihood.of(before, moved, moved.walk_variances(self.process_noise, nights))
+        expected = known.drift_factor
+        chi2 = (before.chi2 - drift.explained(expected.value)) / before.rows
+        walked = known.after(self.process_noise, nights)
+        against = self._innovation(walked)
+        chances = [
+            _exceedance(chi2, before.rows, known.degrees_of_freedom),
+            len(ERRORS) * math.exp(-max(against.suspects()[0].evidence, 0.0)),
+        ]
+        # Without information about the drift (no process noise, or none that the balls show), the factor stays.
+        learned = expected
+        if drift.informative:
+            widened = replace(expected, log_deviation=math.hypot(expected.log_deviation, _WIDENING))
+            chances.append(drift.probability_of_larger(widened))
+            learned = drift.posterior(widened)
+        probability = min(1.0, len(chances) * min(chances))  # Bonferroni
+        fits = probability >= self.night_false_alarm
+        if not fits and drift.informative:
+            learned = drift.posterior(DriftFactor(expected.value))  # a sudden change has a size of its own
+        prior = replace(known, drift_factor=learned).after(self.process_noise, nights)
+        trend = moved.trend.after_night(self._measurement(moved, self._innovation(prior)), nights)
+        return NightFit(prior, expected.value, chi2, probability, fits, () if fits else against.possible_jumps()), trend
+
+    def _innovation(self, prior: CarriedOverPrior) -> Innovation:
+        return innovation(self.family, self.observations, self.artefact, prior, self.options)
+
+    @staticmethod
+    def _measurement(known: CarriedOverPrior, found: Innovation) -> NightMeasurement:
+        there, here = shared_unknowns(known.unknowns, found.unknowns)
+        blocks = found.unknowns.blocks
+        return NightMeasurement(
+            found.score, found.information, found.covariance, there, here, blocks.drift.start, blocks.parameters.stop
+        )
 
 
 @dataclass(frozen=True, eq=False)

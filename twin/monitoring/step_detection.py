@@ -18,6 +18,7 @@ of shapes (P,) and (P, P). F is computed from the prior and the design matrix as
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -36,7 +37,28 @@ from twin.identification.problem import IdentificationProblem, build_problem
 from twin.identification.unknowns import Unknowns
 from twin.machine.machine_population import Family
 
+JUMP_SIZES = (1.0, 3.0, 10.0)
+"""Standard deviations of an assumed jump, in those of the family, over which the odds of its error are averaged.
+
+Few positions do not tell a jump of one error from that of another, if each of them may be as large as it has to be.
+With one size alone, an error that has to jump by several standard deviations would be ruled out.
+"""
+
+_SHARE = 0.95  # probability of all named errors together
 _EXACT_STEPS = 2  # as in an identification: the first step leaves second-order terms of a pose a few mm off
+
+
+@dataclass(frozen=True)
+class PossibleJump:
+    """Error whose sudden change would explain the measurements, and its probability if one error has jumped."""
+
+    jump: SuspectedJump
+    probability: float
+
+    @property
+    def text(self) -> str:
+        """The jump in words, with its probability."""
+        return f"{self.jump.text} ({100.0 * self.probability:.0f} %)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +106,24 @@ class Innovation:
         """
         found = [self._suspect(error, jump) for error in ERRORS if coefficients_of(self.unknowns, error).size]
         return tuple(sorted(found, key=lambda one: -one.evidence))
+
+    def possible_jumps(self) -> tuple[PossibleJump, ...]:
+        """Return the errors of which one may have jumped, the likeliest first, until they have a probability of 95 %
+        together.
+
+        All errors and all of `JUMP_SIZES` are equally likely beforehand. The size of each jump is the expected one for
+        the likeliest of these.
+        """
+        by_size = [{one.error: one for one in self.suspects(size)} for size in JUMP_SIZES]
+        best = max(one.evidence for found in by_size for one in found.values())
+        odds = {error: sum(math.exp(found[error].evidence - best) for found in by_size) for error in by_size[0]}
+        whole, named = sum(odds.values()), list[PossibleJump]()
+        for error in sorted(odds, key=lambda error: -odds[error]):
+            if sum(one.probability for one in named) >= _SHARE:
+                break
+            jump = max((found[error] for found in by_size), key=lambda one: one.evidence)
+            named.append(PossibleJump(jump, odds[error] / whole))
+        return tuple(named)
 
     def find_jumps(self, evidence: float, most: int = 3, jump: float = 1.0) -> tuple[SuspectedJump, ...]:
         """Search for the errors that have jumped, and return them in the order in which they are found.

@@ -16,6 +16,7 @@ if will_run():
     from agent.cli.printing import facts_table, results_console
     from agent.cli.run_commands.local_run import run_here
     from agent.cli.run_commands.run_summary import show_summary
+    from agent.results.night_changes import possible_text
     from agent.results.run_outcome import NightReport, Outcome
     from agent.runs.run_request import RunRequest
     from agent.runs.session import RunResult
@@ -73,6 +74,8 @@ def night_table(outcome: Outcome, night: NightReport) -> Table:
         ("held-out positions", f"{_um(night.held_out_um)}, expected {_um(night.held_out_predicted_um)}"),
         ("against the prediction", "?" if night.chi2_normalised is None else f"χ² {night.chi2_normalised:.2f}"),
         ("changed at once", "; ".join(one.text for one in night.jumped) or "nothing"),
+        *([("if one error changed", possible_text(night.alternatives))] if night.alternatives else []),
+        *([("drift in one direction", night.drift.text)] if night.drift is not None else []),
         *([("warning", night.warning)] if night.warning else []),
         ("reason", night.reason or "none"),
     ]

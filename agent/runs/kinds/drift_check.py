@@ -12,6 +12,7 @@ from agent.errors import MeasurementFault
 from agent.files import translated
 from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
+from agent.results.night_changes import possible_text
 from agent.results.night_gate import night_text
 from agent.results.observations import Correction, ReferenceArtefact, certified_balls, no_correction, observations_of
 from agent.results.run_outcome import Decision, NightReport, SuspectedError
@@ -25,7 +26,7 @@ from twin.machine.machine_population import Family
 from twin.machine.volumetric import evaluation_grid
 from twin.monitoring.night_fit import NightFit
 from twin.monitoring.residual_with_active_table import ResidualWithTable, residual_covariance, uncompensated
-from twin.monitoring.step_detection import Innovation, innovation
+from twin.monitoring.step_detection import Innovation, PossibleJump, innovation
 from twin.units import UM_PER_MM
 
 _LIKELIEST = 5
@@ -109,7 +110,8 @@ class Judge:
         now_um = self.residual_with_table.of(
             found.posterior_mean, found.posterior_covariance, self.reference.table.written
         ).aligned_um
-        reason = self._reason(found, jumped, now_um)
+        possible = found.possible_jumps() if jumped else ()
+        reason = self._reason(found, jumped, possible, now_um)
         report = NightReport(
             decision=Decision.OUT if reason else Decision.WITHIN,
             since=self.reference.run_id,
@@ -123,6 +125,7 @@ class Judge:
             held_out_predicted_um=predicted_um,
             chi2_normalised=found.chi2_normalised,
             jumped=tuple(_named(one) for one in jumped),
+            alternatives=tuple(possible),
             likeliest=tuple(_named(one) for one in found.suspects()[:_LIKELIEST]),
         )
         return Judgement(report, found)
@@ -142,12 +145,20 @@ class Judge:
         expected = reference.covariance(bare, result, covariance, offset)
         return UM_PER_MM * result.rms_mm, UM_PER_MM * expected.predicted_rms_mm
 
-    def _reason(self, found: Innovation, jumped: Sequence[SuspectedJump], now_um: float) -> str:
+    def _reason(
+        self,
+        found: Innovation,
+        jumped: Sequence[SuspectedJump],
+        possible: Sequence[PossibleJump],
+        now_um: float,
+    ) -> str:
         """Return the reason why the machine is out of limits; empty if it is within limits."""
         limits = self.job.settings.nightly
         reasons = []
         if jumped:
-            reasons.append(f"the machine has changed at once: {', '.join(one.text for one in jumped)}")
+            changed = f"the machine has changed at once: {', '.join(one.text for one in jumped)}"
+            alone = f" (one error alone: {possible_text(possible)})" if len(possible) > 1 else ""
+            reasons.append(f"{changed}{alone}")
         if found.chi2_normalised > limits.max_chi2:
             chi2 = found.chi2_normalised
             reasons.append(f"ball centres are not as predicted, χ² {chi2:.2f}, allowed {limits.max_chi2:.2f}")
@@ -164,6 +175,7 @@ def with_fit(report: NightReport, fit: NightFit) -> NightReport:
         fit_probability=fit.probability,
         drift_factor=fit.factor,
         warning="" if fit.fits else night_text(fit),
+        drift=fit.drift,
     )
 
 

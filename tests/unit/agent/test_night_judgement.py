@@ -18,6 +18,7 @@ from agent.execution.steps import Dwell, MoveTo, Plan, ReadActiveBank, ReadClock
 from agent.execution.supervisor import Supervisor
 from agent.planning.stand_ins import USUAL_STORE
 from agent.probing.run_plan import MeasuredPositions, MeasuringOrder
+from agent.reports.run_report import _night_rows
 from agent.results.run_outcome import Decision, NightReport
 from agent.runs.kinds import drift_check, nightly
 from agent.runs.kinds.drift_check import Judge, Judgement, with_fit
@@ -33,7 +34,9 @@ from twin.artefact.position_set import Position
 from twin.errors import DataError
 from twin.identification import DriftFactor
 from twin.identification.jump import SuspectedJump
+from twin.monitoring.constant_drift import FoundDrift, SuspectedDrift
 from twin.monitoring.night_fit import NightFit
+from twin.monitoring.step_detection import PossibleJump
 
 LIMITS = NightlySettings(max_chi2=2.0, max_ve_growth=1.5, step_evidence=8.0)
 LAST_VE_UM = 4.0
@@ -41,6 +44,10 @@ LAST_VE_UM = 4.0
 
 def jump(error: str, evidence: float) -> SuspectedJump:
     return SuspectedJump(error, evidence, 2.0 * evidence, 3, 12.0, "µm", {f"{error}_1": 0.012})
+
+
+POSSIBLE = (PossibleJump(jump("EYX", 15.0), 0.9), PossibleJump(jump("C0Y", 13.0), 0.1))
+DRIFT = FoundDrift(9.0, 2e-4, (SuspectedDrift("EBX", 0.96, 0.8, 0.2, "µrad", 3e-5),))
 
 
 class StubInnovation:
@@ -57,6 +64,9 @@ class StubInnovation:
 
     def suspects(self) -> list[SuspectedJump]:
         return self._jumps
+
+    def possible_jumps(self) -> tuple[PossibleJump, ...]:
+        return tuple(PossibleJump(one, 1.0 / len(self._jumps)) for one in self._jumps)
 
 
 @pytest.fixture
@@ -87,13 +97,23 @@ def judged(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Judgement]:
 def test_a_fused_night_that_does_not_fit_is_reported_with_its_figures(fits: bool) -> None:
     report = NightReport(Decision.WITHIN, "run-7", 1.0, 1, 3)
     prior: Any = SimpleNamespace(drift_factor=DriftFactor(3.2, 0.2))
-    found = with_fit(report, NightFit(prior, 0.8, 1.7, 2e-5, fits, None if fits else jump("EYX", 15.0)))
+    found = with_fit(report, NightFit(prior, 0.8, 1.7, 2e-5, fits, () if fits else POSSIBLE, DRIFT))
     assert (found.fit_probability, found.drift_factor) == (2e-5, 3.2)
     assert found.as_json()["warning"] == found.warning
     assert bool(found.warning) is not fits
     if not fits:
-        for figure in ("χ² 1.70", "3.2 times as stated", "expected 0.8", "EYX changed by +12.0 µm"):
+        for figure in (
+            "χ² 1.70",
+            "3.2 times as stated",
+            "expected 0.8",
+            "EYX changed by +12.0 µm (90 %); or C0Y changed by +12.0 µm (10 %)",
+        ):
             assert figure in found.warning
+    drift: Any = found.as_json()["drift"]
+    assert (drift["nights"], drift["false_alarm"], drift["suspects"]) == (9.0, 2e-4, [vars(DRIFT.suspects[0])])
+    rows = dict(_night_rows(found.as_json()))
+    assert rows["Drift in one direction"] == "for about 9 nights: EBX +0.8 ± 0.2 µrad a night (96 %)"
+    assert DRIFT.text == "EBX by +0.8 ± 0.2 µrad a night for about 9 nights (96 %)"
 
 
 class TestVerdict:
@@ -124,9 +144,13 @@ class TestVerdict:
     def test_a_jump_with_enough_evidence_is_named(self, judged: Callable[..., Judgement]) -> None:
         verdict = judged(jumps=[jump("EYX", 7.9), jump("EXX", 8.0)])
         assert not verdict.within
-        assert "EXX changed by +12.0 µm" in verdict.report.reason
-        assert "EYX" not in verdict.report.reason
+        reason, alternatives = verdict.report.reason.split(" (", maxsplit=1)
+        assert "EXX changed by +12.0 µm" in reason
+        assert "EYX" not in reason
+        assert "EYX changed by +12.0 µm (50 %)" in alternatives
         assert [one.error for one in verdict.report.jumped] == ["EXX"]
+        rows = dict(_night_rows(verdict.report.as_json()))
+        assert rows["If one error changed"] == "EXX +12.0 µm (50 %); or EYX +12.0 µm (50 %)"
 
     def test_suspects_below_the_evidence_are_reported_and_change_nothing(
         self, judged: Callable[..., Judgement]
