@@ -13,7 +13,7 @@ from twin.artefact.held_out_check import HeldOutCovariance
 
 BALLS = 7
 SIZE = 3 * BALLS
-RUNS = 4_000
+RUNS = 1_500
 MAX_CHI2 = 2.0
 
 
@@ -97,12 +97,12 @@ def test_errors_of_both_kinds_are_as_rare_as_stated(step: float) -> None:
         shares[effect] = np.mean([written and measured.accepted for written, measured in found])
         if effect == 0.0:
             assert np.mean([measured.change >= measured.limit for _, measured in found]) == pytest.approx(
-                0.05, abs=0.012
+                0.05, abs=0.018
             )
-    assert shares[0.0] <= 0.05 + 0.012
+    assert shares[0.0] <= 0.05 + 0.018
     assert shares[-1.0] == 0.0
-    foreseen = np.mean([test.expected_power(deviate) for deviate in rng.normal(size=2_000)])
-    assert shares[1.0] == pytest.approx(foreseen, abs=0.03)
+    foreseen = np.mean([test.expected_power(deviate) for deviate in rng.normal(size=1_000)])
+    assert shares[1.0] == pytest.approx(foreseen, abs=0.05)
 
 
 def test_the_expected_power_is_the_mean_over_the_tables() -> None:
