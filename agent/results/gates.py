@@ -3,6 +3,7 @@ free of side effects."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,12 +20,15 @@ from drivers.errors import InputError
 from drivers.roles import StoreLimits
 from twin.artefact.effect_test import REQUIRED_POWER
 from twin.compensation.table import CompensationTable
-from twin.identification import BallCheck, CommonScale, Estimate, PatternTest, StepInRun
+from twin.identification import OUTSIDE_FAMILY, BallCheck, CommonScale, Estimate, PatternTest, StepInRun
 from twin.units import UM_PER_MM
 
 CHANGE = "change"
 """Name of the gate that an operator may open by consent, because a machine really changes if it is repaired or has a
 collision, and must then be calibrated again."""
+
+FIT = "fit"
+"""Name of the gate for the residuals of the ball centres."""
 
 CERTIFICATE = "certificate"
 """Name of the gate for the agreement of the balls with their certificate."""
@@ -62,7 +66,7 @@ GATE_RULES: Mapping[str, GateRule] = {
         "probe_check.limit_um",
         "set it to twice `procedure.touch_sigma_um` or more, or state there how well the probe repeats",
     ),
-    "fit": GateRule("gates.max_chi2", _EXPECTED_CHI2),
+    FIT: GateRule("gates.max_chi2", _EXPECTED_CHI2),
     "redundancy": GateRule("gates.min_degrees_of_freedom", f"{_MORE}, or lower the limit"),
     CERTIFICATE: GateRule(
         "gates.max_certificate_sigma", "raise the limit; the largest of several right balls reaches this value"
@@ -103,12 +107,16 @@ SHIFTED = (
     "correct it at its cause (the reversal error of an axis, its counterweight, `sag_um` in the artefact file), and "
     "measure again"
 )
+NOISE_STATED = (
+    "state how well the probe repeats (`procedure.touch_sigma_um`, sigma_um of the ball file); if it does, look for a "
+    "loose stylus, holder or slide, or correct `model.family` in the machine file; more positions do not help"
+)
 SCALE_CHECKED = (
     "check the thermometer on the artefact, its certified length and its CTE, and measure again; if it is the machine "
     "that has this scale, for example because it is warm, widen `positioning_um` of `model.family` in the machine file"
 )
-"""Remedies for gates that a run did not pass: for the gates `CERTIFICATE`, `STEP`, `PATTERN` and `COMMON_SCALE`, and
-for all others."""
+"""Remedies for gates that a run did not pass: for the gates `CERTIFICATE`, `STEP`, `PATTERN`, `FIT` and `COMMON_SCALE`,
+and for all others."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +138,7 @@ def estimate_gates(estimate: Estimate, limits: GateSettings) -> tuple[Gate, ...]
     the agreement of the balls with their certificate, a machine that did not change in the run, balls that are not
     shifted by a pattern, and a common scale that machine and artefact may have."""
     return (
-        fit_gate(estimate.chi2_normalised, limits),
+        fit_gate(estimate.chi2_normalised, limits, estimate.scales.of_machine),
         redundancy_gate(estimate.degrees_of_freedom, limits),
         certificate_gate(estimate.certificate_check, limits),
         step_gate(estimate.step, limits),
@@ -139,13 +147,15 @@ def estimate_gates(estimate: Estimate, limits: GateSettings) -> tuple[Gate, ...]
     )
 
 
-def fit_gate(chi2_normalised: float, limits: GateSettings) -> Gate:
-    return _gate_below(
-        "fit",
-        chi2_normalised,
-        limits.max_chi2,
-        "normalised χ² of the residuals: the model and the stated noise explain what was measured",
-    )
+def fit_gate(chi2_normalised: float, limits: GateSettings, times_family: float = 1.0) -> Gate:
+    """Return the gate (limit) for the residuals of the ball centres. `times_family` is the factor of the errors of the
+    machine on those of its family."""
+    text = "normalised χ² of the residuals: the model and the stated noise explain what was measured"
+    if chi2_normalised > limits.max_chi2:
+        text = f"the ball centres scatter {math.sqrt(chi2_normalised):.1f} times as much as stated"
+        if times_family >= OUTSIDE_FAMILY:
+            text += f"; the errors of the machine are {times_family:.0f} times those of its family"
+    return _gate_below(FIT, chi2_normalised, limits.max_chi2, text)
 
 
 def redundancy_gate(degrees_of_freedom: float, limits: GateSettings) -> Gate:
@@ -382,6 +392,7 @@ def require_passed(gates: Sequence[Gate], consent: str = "") -> None:
             CERTIFICATE: BETTER_CERTIFICATE,
             STEP: MACHINE_CHANGED,
             PATTERN: SHIFTED,
+            FIT: NOISE_STATED,
             COMMON_SCALE: SCALE_CHECKED,
         }
         remedy = next((text for name, text in remedies.items() if name in failed), MORE_POSITIONS)

@@ -20,9 +20,10 @@ from twin.identification.predicted import (
     shared_with_artefact,
 )
 from twin.identification.prior_from_estimate import CarriedOverPrior, DriftFactor, process_noise
-from twin.identification.scales import Scales
+from twin.identification.scales import OUTSIDE_FAMILY, Scales
 
 __all__ = [
+    "OUTSIDE_FAMILY",
     "BallCheck",
     "CarriedOverPrior",
     "CommonScale",

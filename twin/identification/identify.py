@@ -29,6 +29,7 @@ from twin.identification.poses import Poses, rigid_poses
 from twin.identification.prior_from_estimate import DriftFactor
 from twin.identification.problem import IdentificationProblem
 from twin.identification.roll import build_measured_problem, restrict_measured_problem
+from twin.identification.scales import OUTSIDE_FAMILY
 from twin.identification.solution import Solution, average_over_scales, solve
 from twin.identification.unknowns import Unknowns
 from twin.machine.error_model import ErrorModel
@@ -38,6 +39,7 @@ from twin.units import UM_PER_MM
 
 _MAX_REJECTED_SHARE = 0.2
 _MIN_BALLS = 3
+_NOISY = 1.4  # times the stated noise: more than the gate of the fit allows
 _SLIP_ABOVE_MISFIT = 4.0  # size of a slip relative to the misfit that the modes leave out
 
 Mask = np.ndarray[Any, np.dtype[np.bool_]]
@@ -301,7 +303,7 @@ def _screening(options: Options) -> Options:
 
 @dataclass(frozen=True)
 class _Findings:
-    """Results of the tests of the whole set; None if the rows are used unchecked."""
+    """Results of the tests of the whole set; None if the rows are used unchecked or cannot be tested."""
 
     step: StepInRun | None = None
     pattern: PatternTest | None = None
@@ -318,13 +320,18 @@ def _findings(
     screening = _screening(options)
     if screening != options:
         solution = solve(selection.problem, screening, screening.formulation)
+    scale = common_scale(solution) if options.carried_over is None else None
+    if solution.scales.of_machine >= OUTSIDE_FAMILY and solution.scales.noise > _NOISY:
+        # Errors of the machine between the balls are not independent, as the tests assume: they would be taken for a
+        # change or a pattern.
+        return _Findings(common_scale=scale)
     seen, measured = whole.observations, whole.layout.order[selection.accepted]
     residuals = studentised_residuals(solution)
     tool_offset = seen.tool_offsets[np.bincount(seen.tool).argmax()]
     return _Findings(
         step_in_run(solution, residuals, measured, tool_offset),
         shift_patterns(solution.equations.problem, residuals, measured),
-        common_scale(solution) if options.carried_over is None else None,
+        scale,
     )
 
 

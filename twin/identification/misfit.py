@@ -9,7 +9,7 @@ of another axis.
 The mixed terms and the waves along each of the three axes are the four kinds of misfit. Each kind has its own scale,
 because a machine that bends strongly need not have wavy rails, and one bad rail does not make the other rails bad. The
 prior standard deviations of the mixed terms fall with increasing order, as those of the model parameters do. The waves
-are the high orders of errors that are stationary along the axis (`stationary_kernel`): their coefficients are
+are the high orders of errors that are stationary along the axis (`series_prior`): their coefficients are
 correlated, and the waves are no larger at the ends than in the middle.
 
 The part of the misfit that the model or a rigid motion can represent is removed by least squares over the workspace. An
@@ -28,7 +28,7 @@ from itertools import product
 import numpy as np
 
 from twin.arrays import Array
-from twin.identification.stationary_kernel import projected_kernel
+from twin.identification.series_prior import projected_kernel
 from twin.machine.error_model import ErrorModel, Ranges
 from twin.machine.forward_model import deviation_basis
 from twin.machine.legendre import legendre_values, normalise_positions

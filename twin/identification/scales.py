@@ -8,6 +8,9 @@ from dataclasses import dataclass
 from twin.identification.misfit import MISFIT_KINDS
 from twin.identification.series_prior import STATIONARY_SHARE
 
+OUTSIDE_FAMILY = 10.0
+"""Factor from which the errors of a machine are not those of its family. Then the model explains them badly."""
+
 
 @dataclass(frozen=True)
 class Scales:
@@ -42,6 +45,11 @@ class Scales:
     def motions(self) -> float:
         """Scale (factor) on the prior rms of both parts of the error motions combined."""
         return math.hypot(self.independent, STATIONARY_SHARE * self.stationary)
+
+    @property
+    def of_machine(self) -> float:
+        """Largest factor on the standard deviations of the family among those of the machine's errors."""
+        return max(self.prior, self.independent, self.stationary)
 
     @property
     def misfit(self) -> float:

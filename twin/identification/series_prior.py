@@ -3,22 +3,23 @@ everywhere.
 
 Independent coefficients describe errors that grow towards the ends of the travel, because every Legendre polynomial is
 1 or -1 there. The errors of a rail made of several pieces, or of a screw, do not grow: they are stationary along the
-travel. Their Legendre coefficients are correlated, which keeps the ends as small as the middle. The covariance of a
-series is therefore a sum of both parts, each with a scale of its own, which the measurements determine.
+travel. Their Legendre coefficients are correlated, which keeps the ends as small as the middle. The covariance along
+the axis is that of Matérn with the exponent 3/2 (Rasmussen and Williams 2006, 4.2). The covariance of a series is
+therefore a sum of both parts, each with a scale of its own, which the measurements determine.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 
 from twin.arrays import Array
-from twin.identification.stationary_kernel import projected_kernel
 from twin.machine.error_model import ErrorModel, series_orders
 
+_NODES = 60
 _LENGTH = 1.0  # correlation length of the stationary part on the axis normalised to [-1, 1]: half of the travel
 STATIONARY_SHARE = 0.5
 """Rms of the stationary part relative to the independent part, both at scale 1."""
@@ -130,3 +131,16 @@ class SeriesPrior:
         """Return the blocks (B, n, n) of a matrix (P, P) that belong to the series."""
         blocks = matrix[self.index[:, :, None], self.index[:, None, :]]
         return np.asarray(blocks * (self.used[:, :, None] & self.used[:, None, :]))
+
+
+@lru_cache(maxsize=32)
+def projected_kernel(terms: int, length: float) -> Array:
+    """Return the covariance (terms, terms) of the Legendre coefficients of the orders 0 to terms - 1 of a stationary
+    error with unit variance. The correlation length `length` applies to the axis normalised to [-1, 1]."""
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    distance = np.sqrt(3.0) * np.abs(nodes[:, None] - nodes) / length
+    kernel = (1.0 + distance) * np.exp(-distance)
+    # coefficient k of f is (2k + 1)/2 times the integral of f P_k
+    projection = np.polynomial.legendre.legvander(nodes, terms - 1).T * weights
+    projection *= (np.arange(terms) + 0.5)[:, None]
+    return np.asarray(projection @ kernel @ projection.T)
