@@ -74,6 +74,15 @@ class Judge:
         return ResidualWithTable.build(prior.unknowns, prior.scales, grid, self.job.tool_offset_mm)
 
     @property
+    def expected_change(self) -> Array:
+        """Expected squares and products (p, p) of the change of the p model parameters since the active table was
+        computed, in the units of `prior`: what earlier nights found, and the drift since the last of them."""
+        prior, found = self.prior, self.reference.estimate
+        own = prior.unknowns.blocks.parameters
+        left = uncompensated(prior.unknowns, prior.mean, self.reference.table.written)[own]
+        return np.multiply.outer(left, left) + prior.covariance[own, own] - found.z_covariance[own, own]
+
+    @property
     def before_um(self) -> float:
         """Volumetric error (VE) in µm that was expected with the active compensation table at the end of the last
         accepted night.

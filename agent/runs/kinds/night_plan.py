@@ -97,7 +97,7 @@ def verification_plan(chooser: PositionChooser, judge: Judge) -> NightPlan:
     """Return the plan of a night in which the machine is only verified, that is, compared with the last accepted
     night."""
     chosen = chooser.job.settings.nightly
-    held_out = _held_out(chooser, chosen.held_out_positions)
+    held_out = _held_out(chooser, judge, chosen.held_out_positions)
     checked = chooser.detecting_jumps(judge.prior, chosen.check_positions, held_out)
     return NightPlan(chooser.station, held_out, checked)
 
@@ -117,7 +117,7 @@ def night_plan(
     Raises PlanRefused if the slot is too short.
     """
     chosen = chooser.job.settings.nightly
-    held_out = _held_out(chooser, chosen.held_out_positions)
+    held_out = _held_out(chooser, judge, chosen.held_out_positions)
     room = slot_minutes - chosen.reserve_minutes
     budget = max(room - 2.0 * chooser.minutes(held_out), 0.0)
     checked = chooser.detecting_jumps(judge.prior, chosen.check_positions, held_out)
@@ -150,8 +150,8 @@ def positions_in(measured: MeasuredPositions) -> tuple[Position, ...]:
     return tuple(Position(ball.station, ball.azimuth_deg, ball.elevation_deg) for ball in first)
 
 
-def _held_out(chooser: PositionChooser, count: int) -> tuple[Position, ...]:
-    held_out = chooser.held_out(count)
+def _held_out(chooser: PositionChooser, judge: Judge, count: int) -> tuple[Position, ...]:
+    held_out = chooser.held_out(judge.prior, judge.expected_change, count)
     if not held_out:
         raise ConfigurationError(
             f"none of the held-out orientations can be measured at station {chooser.station}",

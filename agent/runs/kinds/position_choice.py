@@ -12,9 +12,10 @@ import numpy as np
 
 from agent.files import translated
 from agent.planning.design.feasibility import FeasibilityCheck
-from agent.planning.held_out_positions import least_known
+from agent.planning.held_out_positions import held_out_grid
 from agent.planning.job import Job
 from drivers.errors import ConfigurationError
+from twin.arrays import Array
 from twin.artefact.position_set import Position
 from twin.design.candidates import build_candidates, orientation_grid
 from twin.design.measuring_cost import MeasuringCosts
@@ -40,19 +41,32 @@ class PositionChooser:
     def minutes(self, positions: Sequence[Position]) -> float:
         return sum(self.feasibility.minutes(position) for position in positions)
 
-    def held_out(self, count: int) -> tuple[Position, ...]:
-        """Return held-out positions at this station.
+    def held_out(self, prior: CarriedOverPrior, change: Array, count: int) -> tuple[Position, ...]:
+        """Return the `count` held-out positions at this station whose balls show best what a new table would change.
+        The result is shorter than `count` if there are not enough.
 
-        If the setting `verification.positions_deg` lists orientations, they are the first `count` of these that can be
-        measured here. Otherwise, they are the `count` positions whose balls are expected to show the largest error
-        after a calibration with the position set of the settings. They are thus the same every night. The result is
-        shorter than `count` if there are not enough.
+        `change` (p, p) contains the expected squares and products of the change of the p model parameters since the
+        active table was computed, in the units of `prior`. The orientations are those that the setting
+        `verification.positions_deg` lists, or else those on the grid `verification.grid_deg` that are not in the
+        position set.
         """
-        listed = self.job.settings.verification.positions_deg
-        if listed is None:
-            return least_known(self.job, self.job.positions, (self.station,), count)
-        candidates = [Position(self.station, azimuth, elevation) for azimuth, elevation in listed]
-        return tuple(position for position in candidates if self._usable(position))[:count]
+        offered = self._held_out_offered()
+        search, _ = self._search(prior, offered)
+        candidates = search.candidates
+        seen = candidates.factors[:, :, prior.unknowns.blocks.parameters]
+        # tr(W M Wᵀ): expected square of the change of the balls, less the poses, in units of the touch noise
+        shown = np.einsum("nrp,nrp->n", seen @ change, seen)
+        best = (int(index) for index in np.argsort(-shown, kind="stable"))
+        return tuple(islice((candidates.positions[index] for index in best if search.is_measurable(index)), count))
+
+    def _held_out_offered(self) -> list[Position]:
+        settings = self.job.settings
+        listed = settings.verification.positions_deg
+        if listed is not None:
+            candidates = [Position(self.station, azimuth, elevation) for azimuth, elevation in listed]
+            return [position for position in candidates if self._usable(position)]
+        grid = [Position(self.station, azimuth, elevation) for azimuth, elevation in held_out_grid(settings)]
+        return [position for position in grid if position not in set(self.job.positions)]
 
     def by_gain(
         self,

@@ -19,7 +19,7 @@ from agent.planning.held_out_positions import (
 )
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job, reached_balls
-from agent.results.predicted_accuracy import predict_accuracy
+from agent.results.predicted_accuracy import planned_estimate, predict_accuracy
 from agent.runs.kinds.calibrate import preflight_of
 from agent.runs.kinds.position_choice import PositionChooser
 from agent.settings.load import load_settings
@@ -135,11 +135,38 @@ def test_listed_orientations_are_held_out_at_every_station() -> None:
     assert job.verified_stations == (1, 4)
 
 
-def test_a_night_holds_out_the_least_known_position_at_its_station() -> None:
+@pytest.mark.parametrize("axis", ["X", "Z"])
+def test_a_night_holds_out_the_position_that_shows_a_change_of_the_machine(axis: str) -> None:
+    """A changed scale of an axis shows best on a bar that lies along this axis."""
     job = case()
-    assert PositionChooser(job, 2).held_out(1) == least_known(job, job.positions, (2,), 1)
+    prior = planned_estimate(job, job.procedure.plan(job.positions).observations).carried_over()
+    chooser, change = PositionChooser(job, 2), np.zeros([prior.unknowns.model.size] * 2)
+    index = prior.unknowns.model.names.index(f"E{axis}{axis}[1]")
+    change[index, index] = 1.0
+    (chosen,) = chooser.held_out(prior, change, 1)
+    along = {
+        Position(2, azimuth, elevation): share_along(axis, azimuth, elevation)
+        for azimuth, elevation in held_out_grid(job.settings)
+    }
+    offered = {position: share for position, share in along.items() if position not in job.positions}
+    measurable = [share for position, share in offered.items() if not chooser.feasibility.hit(position)]
+    assert chosen in offered
+    assert offered[chosen] == pytest.approx(max(measurable), abs=0.2)
+
+
+def share_along(axis: str, azimuth_deg: float, elevation_deg: float) -> float:
+    azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
+    return abs(float(np.sin(elevation) if axis == "Z" else np.cos(elevation) * np.cos(azimuth)))
+
+
+def test_a_night_holds_out_listed_positions() -> None:
     listed = prepared(positions_deg=IN_THE_MIDDLE)
-    assert PositionChooser(listed, 2).held_out(1) == (Position(2, 30.0, 30.0),)
+    prior = planned_estimate(listed, listed.procedure.plan(listed.positions).observations).carried_over()
+    change = np.eye(prior.unknowns.model.size)
+    offered = {Position(2, *angles) for angles in IN_THE_MIDDLE}
+    chooser = PositionChooser(listed, 2)
+    assert set(chooser.held_out(prior, change, 2)) == offered
+    assert set(chooser.held_out(prior, change, 1)) < offered
 
 
 def test_a_grid_that_does_not_divide_a_right_angle_is_refused() -> None:
