@@ -192,7 +192,9 @@ class Incidents:
         """Stop the service and start it again, and wait until it has read which bank is active."""
         self._host.stop()
         self._host.serve()
-        wait_for(lambda: self._host.status()["active_bank"] is not None, "the active bank", STATUS_POLL_S)
+        wait_for(
+            lambda: self._host.status()["active_bank"] == self._plant.active_bank, "the active bank", STATUS_POLL_S
+        )
 
     def _set_time(self, evening: Evening, hour: int) -> None:
         self._host.set_time(FIRST_EVENING + timedelta(days=evening.night, hours=hour))
