@@ -15,7 +15,7 @@ import numpy as np
 from twin.artefact.artefact import Artefact
 from twin.artefact.certificate import CERTIFIED_MM, UNCERTIFIED_MM
 from twin.artefact.observations import Observations
-from twin.errors import DataError
+from twin.errors import DataError, SingularSet
 from twin.identification.checks.certificate_check import worst_ball
 from twin.identification.options import Options
 from twin.identification.problem import IdentificationProblem
@@ -44,7 +44,10 @@ def refuse_mirrored(
     if options.carried_over is not None:
         return
     mirrored = build_measured_problem(family, observations, _mirror_image(artefact), options)
-    solution = solve(mirrored, options, "centres")
+    try:
+        solution = solve(mirrored, options, "centres")
+    except SingularSet:  # so far from what was measured that the equations do not converge
+        return
     if worst_ball(mirrored.unknowns, solution.z, solution.covariance, ()) is not None:
         return
     better = log_evidence_and_scales(mirrored, options)[0] - log_evidence_and_scales(given, options)[0]
