@@ -303,7 +303,7 @@ def _check_stated_noise(estimation: EstimationResult, material: IdentificationIn
     factor = math.sqrt(estimation.estimate.chi2_normalised)
     if 1.0 / MAX_NOISE_FACTOR <= factor <= MAX_NOISE_FACTOR:
         return
-    variance = np.einsum("nii->n", material.balls.observations.covariance) / 3.0
+    variance = material.balls.observations.coordinate_variances_mm2
     stated_um = UM_PER_MM * float(np.sqrt(np.median(variance)))
     first, last = min(material.balls.rows), max(material.balls.rows)
     raise DataError(

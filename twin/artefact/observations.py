@@ -72,9 +72,14 @@ class Observations:
         return np.asarray(self.tool_offsets[np.unique(self.tool)])
 
     @property
+    def coordinate_variances_mm2(self) -> Array:
+        """Stated variance (n,) in mm² of one coordinate of each ball centre, as a mean over the three directions."""
+        return np.asarray(np.einsum("nii->n", self.covariance) / 3.0)
+
+    @property
     def coordinate_variance_mm2(self) -> float:
         """Stated variance in mm² of one coordinate of a ball centre, as a mean over all rows and directions."""
-        return float(np.einsum("nii->n", self.covariance).mean()) / 3.0
+        return float(self.coordinate_variances_mm2.mean())
 
     def select(self, mask: np.ndarray[Any, Any]) -> Observations:
         """Return the rows selected by `mask`, a boolean array (n,) or an array of row indices."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.arrays import Array, as_points, as_vector
+from twin.identification.scales import Scales
 from twin.identification.unknowns import Indices, Unknowns
 from twin.machine.forward_model import deviation_basis
 from twin.machine.grid_quadrature import GridQuadrature
@@ -101,8 +102,7 @@ class _Fields:
     @property
     def unresolved_mm2(self) -> float:
         """Variance in mm² of the unresolved misfit, summed over the three directions, if all scales are 1."""
-        modes = self.unknowns.modes
-        return 0.0 if modes is None else 3.0 * self.unknowns.misfit_mm**2 * float(modes.left_out.sum())
+        return 3.0 * self.unknowns.unresolved_mm2(Scales())
 
     def at(self, points: Array) -> Array:
         """Return the fields (n, 3, size) in mm per unit of each unknown."""

@@ -150,7 +150,7 @@ def format_balls(
     its three coordinates. If `temperature_was_read` is False, no temperature is written.
     """
     lines = [",".join(COLUMNS)]
-    sigma_um = 1e3 * np.sqrt(np.einsum("nii->n", observations.covariance) / 3.0)
+    sigma_um = 1e3 * np.sqrt(observations.coordinate_variances_mm2)
     for row in range(observations.size):
         placement = positions[int(observations.position[row])]
         angles = f"{placement.azimuth_deg:.10g},{placement.elevation_deg:.10g}"

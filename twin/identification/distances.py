@@ -181,6 +181,6 @@ def _whitening(covariance: Array, dependent: float) -> Array:
 def _unit_deviation(problem: IdentificationProblem) -> float:
     """Return the standard deviation in mm that is used for all distances. It is the standard deviation of the
     difference of two typical coordinates."""
-    variances = np.einsum("nii->n", problem.observations.covariance) / 3.0
+    variances = problem.observations.coordinate_variances_mm2
     # the variances of both ends of a distance add up along it
     return float(np.sqrt(2.0 * np.median(variances)))

@@ -80,10 +80,7 @@ def identify(
         raise DataError("the family belongs to another model", hint="use the family of the same machine file")
     _check_set(observations)
     whole = build_measured_problem(family, observations, artefact, options)
-    selection = _select_rows(whole, options)
-    if selection.contradicted:
-        _refuse_mirrored(selection, whole, artefact, family, options)
-    return _estimate(whole, selection, options)
+    return _estimate(whole, _select_rows(whole, family, artefact, options), options)
 
 
 def accepted_rows(family: Family, observations: Observations, artefact: Artefact, options: Options) -> Mask:
@@ -99,18 +96,9 @@ def accepted_rows_and_free_balls(
     _check_set(observations)
     whole = build_measured_problem(family, observations, artefact, options)
     accepted = np.empty(observations.size, dtype=bool)
-    selection = _select_rows(whole, options)
-    if selection.contradicted:
-        _refuse_mirrored(selection, whole, artefact, family, options)
+    selection = _select_rows(whole, family, artefact, options)
     accepted[whole.layout.order] = selection.accepted
     return accepted, selection.free
-
-
-def _refuse_mirrored(
-    selection: _RowSelection, whole: IdentificationProblem, artefact: Artefact, family: Family, options: Options
-) -> None:
-    seen = whole.observations.select(selection.accepted)
-    refuse_mirrored(selection.problem, selection.free, family, seen, artefact, _screening(options))
 
 
 def identify_accepted(
@@ -147,10 +135,14 @@ def _check_set(observations: Observations) -> None:
         )
 
 
-def _select_rows(whole: IdentificationProblem, options: Options) -> _RowSelection:
+def _select_rows(whole: IdentificationProblem, family: Family, artefact: Artefact, options: Options) -> _RowSelection:
     if options.outliers == "none":
         return _RowSelection(whole, np.ones(whole.observations.size, dtype=bool), None)
-    return _without_outliers(whole, options)
+    selection = _without_outliers(whole, options)
+    if selection.contradicted:
+        seen = whole.observations.select(selection.accepted)
+        refuse_mirrored(selection.problem, selection.free, family, seen, artefact, _screening(options))
+    return selection
 
 
 def _without_outliers(whole: IdentificationProblem, options: Options) -> _RowSelection:
@@ -179,7 +171,7 @@ def _without_outliers(whole: IdentificationProblem, options: Options) -> _RowSel
                 continue
             free = search.free
             same = options.formulation == "centres" and options.weights == "full" and options.use_prior
-            contradicted = bool(free or search.bound) or search.contradicted_in(solution)
+            contradicted = search.contradicted_in(solution)
             return _RowSelection(solution.equations.problem, accepted, solution if same else None, free, contradicted)
         if slip is not None and slip.size_mm > _SLIP_ABOVE_MISFIT * _unresolved_rms_mm(whole, solution):
             _report_slip(whole, accepted, slip)
@@ -211,10 +203,9 @@ def _more_is_explained(
 
 
 def _unresolved_rms_mm(whole: IdentificationProblem, solution: Solution) -> float:
-    """Return the rms of the part of the misfit that the modes leave out, in mm. On a machine far outside its family it
-    can look like a slip of the artefact."""
-    unknowns = whole.unknowns
-    return math.sqrt(3.0 * unknowns.unresolved_mm2(solution.scales))
+    """Return the rms in mm of errors whose wavelength is too short for the misfit modes. On a machine far outside its
+    family they can look like a slip of the artefact."""
+    return math.sqrt(3.0 * whole.unknowns.unresolved_mm2(solution.scales))
 
 
 def _report_slip(whole: IdentificationProblem, accepted: Mask, slip: Slip) -> NoReturn:

@@ -66,7 +66,8 @@ class PositionChooser:
             candidates = [Position(self.station, azimuth, elevation) for azimuth, elevation in listed]
             return [position for position in candidates if self._usable(position)]
         grid = [Position(self.station, azimuth, elevation) for azimuth, elevation in held_out_grid(settings)]
-        return [position for position in grid if position not in set(self.job.positions)]
+        used = set(self.job.positions)
+        return [position for position in grid if position not in used]
 
     def by_gain(
         self,

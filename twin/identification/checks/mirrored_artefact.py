@@ -50,7 +50,7 @@ def refuse_mirrored(
         return
     if worst_ball(mirrored.unknowns, solution.z, solution.covariance, ()) is not None:
         return
-    better = log_evidence_and_scales(mirrored, options)[0] - log_evidence_and_scales(given, options)[0]
+    better = log_evidence_and_scales(mirrored, options, solution.scales)[0] - log_evidence_and_scales(given, options)[0]
     # the evidence of a problem with free balls leaves out their wide prior
     better += len(free) * _OCCAM_OF_A_BALL
     if better > _DECISIVE:

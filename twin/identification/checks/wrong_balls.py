@@ -83,7 +83,10 @@ class WrongBallSearch:
         return True
 
     def contradicted_in(self, solution: Solution) -> bool:
-        """Return True if a ball contradicts its certificate in `solution`."""
+        """Return True if a ball contradicted its certificate in the search, or does so in `solution`, which is its
+        last one."""
+        if self.free or self.bound:
+            return True
         unknowns = solution.equations.problem.unknowns
         return worst_ball(unknowns, solution.z, solution.covariance, self.free) is not None
 
