@@ -50,7 +50,8 @@ class VirtualCable:
     def seconds(self) -> float:
         return self._clock.now()
 
-    def open(self) -> None:
+    def open(self, *, shared: bool = False) -> None:
+        """Plug in; no other program uses a virtual cable, so `shared` changes nothing."""
         if self.unplugged:
             self.refused_urgent.append(self.seconds())
             raise LinkLost("the serial port cannot be opened: no such device", hint=HINT, **self.where)

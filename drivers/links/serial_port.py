@@ -6,6 +6,7 @@ Waits use `select` instead of the timeout of pyserial, because changing the time
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import select
 import termios
@@ -53,7 +54,9 @@ class LineLink(Protocol):
         """Return the time in s, since an arbitrary start, in which waits for the device are limited."""
         ...
 
-    def open(self) -> None: ...
+    def open(self, *, shared: bool = False) -> None:
+        """Open the link for exclusive use; with `shared`, also while another program uses it."""
+        ...
 
     def close(self) -> None: ...
 
@@ -87,10 +90,11 @@ class SerialPort:
     def seconds(self) -> float:
         return wall_seconds()
 
-    def open(self) -> None:
+    def open(self, *, shared: bool = False) -> None:
         """Open the port for exclusive use.
 
-        Otherwise, a second program on the same port would receive some of the answers of the device.
+        Otherwise, a second program on the same port would receive some of the answers of the device. With `shared` the
+        port is opened even while another program holds its lock: a stop must get through, with or without answers.
         """
         self.close()
         address = self._address
@@ -101,8 +105,11 @@ class SerialPort:
                 stopbits=address.stop_bits,
                 timeout=0,
                 write_timeout=WRITE_WITHIN_S,
-                exclusive=True,
+                exclusive=None if shared else True,
             )
+            if shared:
+                with contextlib.suppress(BlockingIOError):
+                    fcntl.flock(self._port.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
         except (OSError, ValueError, termios.error) as error:
             raise LinkLost(
                 f"the serial port cannot be opened: {error}",

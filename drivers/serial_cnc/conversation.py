@@ -87,8 +87,8 @@ class Conversation:
         self._connect()
         return self._first_report()
 
-    def _connect(self) -> None:
-        self.line.open()
+    def _connect(self, *, shared: bool = False) -> None:
+        self.line.open(shared=shared)
         self._pending.clear()
         self._messages.clear()
         self._unanswered.clear()
@@ -277,7 +277,8 @@ class Conversation:
     def urgent(self, characters: bytes) -> None:
         """Send real-time characters ahead of all unsent data: on the present connection, else on a new one.
 
-        Raises LinkLost or LinkTimeout if neither accepts them. This takes less than a second of wall time.
+        The new connection is opened even if another program uses the port. Raises LinkLost or LinkTimeout if neither
+        accepts them. This takes less than a second of wall time.
         """
         if self.line.connected:
             try:
@@ -286,7 +287,7 @@ class Conversation:
                 self.line.close()
             else:
                 return
-        self._connect()
+        self._connect(shared=True)
         self.line.write_urgent(characters)
 
     def reset(self) -> None:

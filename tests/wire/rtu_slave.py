@@ -8,6 +8,8 @@ import select
 import threading
 import tty
 from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 
 def crc(data: bytes) -> bytes:
@@ -47,7 +49,10 @@ class RtuSlave:
         self._ours, self._theirs = pty.openpty()
         tty.setraw(self._theirs)
         self._wake, self._waker = os.pipe()
-        self.port = os.ttyname(self._theirs)
+        # under a name of its own, since the system's name may become another test's once this line is closed
+        self._folder = TemporaryDirectory()
+        self.port = f"{self._folder.name}/tty"
+        Path(self.port).symlink_to(os.ttyname(self._theirs))
         self.requests: list[bytes] = []
         self._thread = threading.Thread(target=self._serve, daemon=True)
         self._thread.start()
@@ -64,6 +69,7 @@ class RtuSlave:
         self._thread.join(5.0)
         for end in (self._ours, self._theirs, self._wake, self._waker):
             os.close(end)
+        self._folder.cleanup()
         self._ours = -1
 
     def _serve(self) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cache
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +21,11 @@ from simulators.scenario import Scenario, read_scenario
 from simulators.wire.grbl.dialect import GRBL_11, GrblDialect
 from simulators.wire.grbl.port import GrblPort
 from simulators.wire.grbl.settings import GrblSettings
-from simulators.wire.pty_port import ANY
 from simulators.wire.shared_world import SharedWorld
 from simulators.world.world import World
 
 SCENARIO = Path(__file__).resolve().parents[3] / "config" / "simulators" / "case-study.toml"
+NUMBERS = count()
 TOOL = np.array([0.0, 250.0, 0.0])
 
 
@@ -103,7 +104,6 @@ def rig(
     homed: bool = True,
     dialect: GrblDialect = GRBL_11,
     clock: Clock | None = None,
-    link: str = ANY,
     **options: Any,
 ) -> Iterator[Rig]:
     """Create a rig with a device that is not yet open.
@@ -114,7 +114,9 @@ def rig(
     shared = SharedWorld(world)
     told = GrblSettings(world.controller.limits(), dialect=dialect)
     told.change(settings or {})
-    port = GrblPort(shared, link, settings=told, homed=homed)
+    # the system's name of a closed terminal may become another test's, which a driver would then open and lock
+    link = base / f"tty{next(NUMBERS)}"
+    port = GrblPort(shared, str(link), settings=told, homed=homed)
     line = Line(port)
     port.line.distort = line.distort
     port.start()

@@ -15,11 +15,13 @@ import numpy as np
 import pytest
 from canopen_rig import rig as canopen_rig
 from modbus_plc import FakePlc
+from serial import Serial
 from serial_rig import Rig
 from serial_rig import rig as serial_rig
 
 from drivers.clock import VirtualClock, wall_seconds
 from drivers.errors import DeviceError, LinkLost, LinkTimeout
+from drivers.links.serial_port import SerialAddress, SerialPort
 from drivers.linuxcnc.bridge_link import BridgeLink
 from drivers.modbus_cnc.device import ModbusCnc
 from drivers.modbus_cnc.settings import ModbusCncSettings
@@ -35,7 +37,7 @@ QUICK_STOPS = tuple((0x600 + node, bytes.fromhex("2B 40 60 00 02 00 00 00")) for
 
 @pytest.fixture
 def grbl(tmp_path: Path) -> Iterator[Rig]:
-    with serial_rig(tmp_path, link=str(tmp_path / "tty")) as made:
+    with serial_rig(tmp_path) as made:
         made.device.open()
         yield made
 
@@ -137,6 +139,15 @@ class TestSerial:
         replug(grbl)
         grbl.device.stop()
         assert rests(grbl)
+
+    def test_stop_while_another_program_has_locked_the_replugged_port(self, grbl: Rig) -> None:
+        grbl.type(b"G53G1X-100F6000\n")
+        replug(grbl)
+        with closing(Serial(grbl.port.line.device_path, exclusive=True)):
+            with pytest.raises(LinkLost, match="no other program uses it"):
+                SerialPort(SerialAddress(grbl.port.line.device_path, 115_200)).open()
+            grbl.device.stop()
+            assert rests(grbl)
 
 
 def replug(grbl: Rig) -> None:
