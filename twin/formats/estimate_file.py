@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from twin.arrays import Array
 from twin.artefact.artefact_calibration import COVERAGE_FACTOR, ArtefactCalibration
@@ -79,8 +79,22 @@ class ScalesSection(StrictModel):
     waves_x: float
     waves_y: float
     waves_z: float
-    stationary: float
-    independent: float
+    stationary_x: float
+    stationary_y: float
+    stationary_z: float
+    independent_x: float
+    independent_y: float
+    independent_z: float
+
+    @model_validator(mode="before")
+    @classmethod
+    def _earlier_form(cls, given: Any) -> Any:
+        """Accept files in which each part of the error motions has one scale for all axes."""
+        if not isinstance(given, dict):
+            return given
+        parts = {name: value for name, value in given.items() if name in ("stationary", "independent")}
+        rest = {name: value for name, value in given.items() if name not in parts}
+        return rest | {f"{name}_{axis}": value for name, value in parts.items() for axis in "xyz"}
 
     @property
     def scales(self) -> Scales:

@@ -25,6 +25,7 @@ from twin.arrays import Array
 from twin.identification.misfit import MISFIT_KINDS
 from twin.identification.normal import NormalEquations, Posterior, PriorPrecision
 from twin.identification.scales import Scales
+from twin.machine.kinematic_chain import AXES
 
 
 @dataclass(frozen=True)
@@ -64,13 +65,22 @@ class ScalePrior:
 
 NOISE = ScalePrior(3.0, 0.3, 10.0)
 PRIOR = ScalePrior(30.0, 0.01, 100.0)  # nearly flat: a machine may be ten times better or worse than its family
-MISFIT = ScalePrior(3.0, 0.003, 300.0)
-MOTION = ScalePrior(3.0, 0.003, 300.0)
-SCALE_PRIORS = (NOISE, PRIOR, *(MISFIT for _ in MISFIT_KINDS), MOTION, MOTION)
-"""Priors of the scales, in the order of `Scales.values`. The median is 1 for noise and parameter prior. For a kind of
-misfit and for both parts of the error motions it is the scale of the parameter prior: a machine that is ten times worse
-also bends ten times as much."""
-_NAMES = ("touch noise", "family prior", *MISFIT_KINDS, "stationary errors", "independent errors")
+MIXED = ScalePrior(3.0, 0.003, 300.0)
+WAVES = ScalePrior(2.0, 0.003, 300.0)
+MOTION = ScalePrior(1.4, 0.003, 300.0)
+SCALE_PRIORS = (NOISE, PRIOR, MIXED, WAVES, WAVES, WAVES, *(MOTION for _ in range(6)))
+"""Priors of the scales, in the order of `Scales.values`.
+
+The median is 1 for noise and parameter prior. For the mixed terms and for both parts of the error motions it is the
+scale of the parameter prior: a machine that is ten times worse also bends ten times as much. Each axis differs from the
+other axes by the factor of `MOTION`. Waves are the high orders of a stationary error, so their median is the scale of
+the stationary part of the same axis."""
+_OF_ALL_AXES = math.log(2.0)
+"""Standard deviation of the log scale of a part of the error motions, for all axes in common."""
+_NAMES = (
+    *("touch noise", "family prior", *MISFIT_KINDS),
+    *(f"{part} errors of {axis}" for part in ("stationary", "independent") for axis in AXES),
+)
 _BOUND_TOLERANCE = 1e-3  # distance of a log scale from its bound below which it counts as reached
 Logs = np.ndarray[tuple[int], np.dtype[np.float64]]
 
@@ -133,7 +143,7 @@ def free_scales(precision: PriorPrecision) -> list[bool]:
     kinds = [precision.has_free_scale(block) for block in precision.blocks.kinds]
     kinds += [False] * (len(MISFIT_KINDS) - len(kinds))
     series = precision.series is not None or precision.principal is not None
-    return [True, precision.has_free_scale(precision.blocks.parameters), *kinds, series, series]
+    return [True, precision.has_free_scale(precision.blocks.parameters), *kinds, *([series] * 6)]
 
 
 def _scales(logs: Array, free: list[bool], others: Scales) -> Scales:
@@ -160,34 +170,31 @@ def _cost(normal: NormalEquations, precision: PriorPrecision, others: Scales) ->
 
 @cache
 def log_scale_precision() -> Array:
-    """Return the precision (8, 8) of the joint normal prior of the log scales, whose mean is zero.
+    """Return the precision (12, 12) of the joint normal prior of the log scales, whose mean is zero.
 
-    The log scales of the kinds of misfit and of both parts of the error motions are distributed about that of the
-    parameter prior.
+    `SCALE_PRIORS` states about which scale each of them is distributed.
     """
-    rows = np.eye(len(SCALE_PRIORS))
-    rows[2:, 1] = -1.0  # kinds of misfit, parts of the error motions
-    rows /= np.array([prior.log_deviation for prior in SCALE_PRIORS])[:, None]
-    return np.asarray(rows.T @ rows)
+    # each row: independent normal variables whose sum is the log scale
+    waves, stationary, independent = slice(3, 6), slice(6, 9), slice(9, 12)
+    mixing = np.hstack((np.diag([prior.log_deviation for prior in SCALE_PRIORS]), np.zeros((len(SCALE_PRIORS), 2))))
+    mixing[2:, 1] = PRIOR.log_deviation
+    mixing[stationary, -2] = mixing[independent, -1] = _OF_ALL_AXES
+    mixing[waves] += mixing[stationary]
+    mixing[waves, 1] = PRIOR.log_deviation
+    return np.asarray(np.linalg.inv(mixing @ mixing.T))
 
 
 def negative_log_likelihood(normal: NormalEquations, precision: PriorPrecision, scales: Scales) -> tuple[float, Array]:
-    """Return twice the negative log marginal likelihood, up to a constant, and its derivatives (8,) with respect to the
-    logarithms of the scales: the factors on the standard deviations of the touch noise, of the parameter prior, of the
-    four kinds of misfit, of the stationary part of the error motions and of their independent coefficients.
+    """Return twice the negative log marginal likelihood, up to a constant, and its derivatives (12,) with respect to
+    the logarithms of the scales, in the order of `Scales.values`.
 
     The prior precision must be diagonal: see `in_principal_axes`.
     """
     variance = scales.noise**2
     posterior = Posterior.of(normal.matrix, precision, scales)
-    right = normal.right / variance + precision.information_vector
-    z, variances = posterior.solve(right), posterior.variances
-    diagonal = precision.diagonal(scales)
+    value, z = deviance(normal, precision, scales, posterior)
+    variances, diagonal = posterior.variances, precision.diagonal(scales)
     weighted_z, trace = diagonal * z, float(variances @ diagonal)
-    # rows ln σ² + |y|²/σ² - rᵀH⁻¹r (with r the weighted right side) + ln det H - ln det D
-    # Dropped: rows ln 2π and, for a joint prior with mean m and precision K, mᵀ K m; no scale changes either of them.
-    value = normal.rows * math.log(variance) + normal.square / variance - float(right @ z)
-    value += posterior.log_determinant - _log_determinant(precision, scales)
     gradient = np.zeros(len(SCALE_PRIORS))
     # The derivative of ln det H gives tr(H⁻¹ N/σ²) = P - tr(H⁻¹ D), the effective number of parameters (MacKay's γ).
     # The quadratic terms are stationary in z, so only the explicit σ in |y - A z|²/σ² counts.
@@ -195,6 +202,20 @@ def negative_log_likelihood(normal: NormalEquations, precision: PriorPrecision, 
     # derivatives with respect to the prior variances: D - D C D - D z zᵀ D, of which only the diagonal counts
     gradient[1:] = precision.variance_changes(scales) @ (diagonal - diagonal**2 * variances - weighted_z**2)
     return value, gradient
+
+
+def deviance(
+    normal: NormalEquations, precision: PriorPrecision, scales: Scales, posterior: Posterior
+) -> tuple[float, Array]:
+    """Return twice the negative log marginal likelihood at the given scales, up to a constant, and the posterior mean
+    (P,) of the unknowns. `posterior` is their posterior at these scales."""
+    variance = scales.noise**2
+    right = normal.right / variance + precision.information_vector
+    z = posterior.solve(right)
+    # rows ln σ² + |y|²/σ² - rᵀH⁻¹r (with r the weighted right side) + ln det H - ln det D
+    # Dropped: rows ln 2π and, for a joint prior with mean m and precision K, mᵀ K m; no scale changes either of them.
+    value = normal.rows * math.log(variance) + normal.square / variance - float(right @ z)
+    return value + posterior.log_determinant - precision.log_determinant(scales), z
 
 
 def in_principal_axes(normal: NormalEquations, precision: PriorPrecision) -> tuple[NormalEquations, PriorPrecision]:
@@ -212,12 +233,3 @@ def in_principal_axes(normal: NormalEquations, precision: PriorPrecision) -> tup
         rotation[:, known.members] = rotation[:, known.members] @ axes
     turned = replace(normal, matrix=rotation.T @ normal.matrix @ rotation, right=rotation.T @ normal.right)
     return turned, replace(precision, series=None, principal=principal, known=known)
-
-
-def _log_determinant(precision: PriorPrecision, scales: Scales) -> float:
-    """Return the log determinant of the prior precision. The constant part that belongs to a carried-over prior is left
-    out."""
-    diagonal = precision.diagonal(scales)
-    if precision.known is not None:
-        diagonal = diagonal[~precision.known.members]
-    return float(np.log(diagonal).sum())

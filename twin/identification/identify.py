@@ -236,7 +236,7 @@ def _is_plausible(solution: Solution) -> bool:
     """Return False if the estimated scale of the errors of the machine is at its upper bound. A few gross errors of
     balls may be the cause, until they are rejected."""
     scales = solution.scales
-    return not solution.scales_estimated or max(scales.prior, scales.independent) <= 0.99 * PRIOR.high
+    return not solution.scales_estimated or max(scales.prior, *scales.independent) <= 0.99 * PRIOR.high
 
 
 def _check_rejected_share(accepted: Mask) -> None:

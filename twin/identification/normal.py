@@ -14,7 +14,7 @@ from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtri
 from twin.arrays import Array
 from twin.errors import SingularSet
 from twin.identification.scales import Scales
-from twin.identification.series_prior import Mask, PrincipalSeries, SeriesPrior
+from twin.identification.series_prior import Mask, Numbers, PrincipalSeries, SeriesPrior
 from twin.identification.unknowns import UnknownBlocks
 
 
@@ -119,8 +119,9 @@ class PriorPrecision:
         diagonal = np.ones(self.blocks.size)
         diagonal[self.blocks.parameters] = scales.prior**-2
         if self.principal is not None:
-            own, stationary = self.principal.members, self.principal.stationary
-            diagonal[own] = 1.0 / (scales.independent**2 + scales.stationary**2 * stationary[own])
+            own, axis = self._in_series, self.principal.axis[self._in_series]
+            independent, stationary = np.square(scales.independent), np.square(scales.stationary)
+            diagonal[own] = 1.0 / (independent[axis] + stationary[axis] * self.principal.stationary[own])
         for kind, scale in zip(self.blocks.kinds, scales.kinds, strict=False):
             diagonal[kind] = scale**-2
         if self.known is not None:
@@ -137,34 +138,54 @@ class PriorPrecision:
         return product
 
     def variance_changes(self, scales: Scales) -> Array:
-        """Return the derivatives (7, P) of the prior variances of all unknowns with respect to the logarithms of the
+        """Return the derivatives (11, P) of the prior variances of all unknowns with respect to the logarithms of the
         scales without that of the noise.
 
-        The row of the stationary part is zero unless the unknowns are in principal axes.
+        The rows of the stationary parts are zero unless the unknowns are in principal axes.
         """
         # A variance s² changes by 2 s² with ln s. The rows are those of `Scales.values` without the noise: prior, four
-        # kinds of misfit, stationary part, independent coefficients. A scale that applies to no unknown keeps a row of
-        # zeros, so that the caller can leave it out by its mask of free scales.
-        changes = np.zeros((7, self.blocks.size))
+        # kinds of misfit, stationary parts and independent coefficients of three axes. A scale that applies to no
+        # unknown keeps a row of zeros, so that the caller can leave it out by its mask of free scales.
+        changes = np.zeros((11, self.blocks.size))
         changes[0, self.blocks.parameters] = 2.0 * scales.prior**2
         # The variance of a coefficient of an error motion is independent² + stationary² q (see `diagonal`): the scale
         # of the prior does not occur in it.
         changes[0, self._in_series] = 0.0
-        changes[6, self._in_series] = 2.0 * scales.independent**2
+        for axis, scale in enumerate(scales.independent):
+            changes[8 + axis, self._axes == axis] = 2.0 * scale**2
         for row, (block, scale) in enumerate(zip(self.blocks.kinds, scales.kinds, strict=False), start=1):
             changes[row, block] = 2.0 * scale**2
         # Only in principal axes is the stationary part a variance of its own for each unknown.
         if self.principal is not None:
-            changes[5] = 2.0 * scales.stationary**2 * self.principal.stationary
+            for axis, scale in enumerate(scales.stationary):
+                of_axis = self._axes == axis
+                changes[5 + axis, of_axis] = 2.0 * scale**2 * self.principal.stationary[of_axis]
         return changes
+
+    def log_determinant(self, scales: Scales) -> float:
+        """Return the log determinant of the prior precision for the given scales. The constant part that belongs to a
+        joint prior is left out."""
+        alone = np.ones(self.blocks.size, dtype=bool)
+        found = 0.0
+        if self.known is not None:
+            alone &= ~self.known.members
+        if self.series is not None:
+            alone &= ~self._in_series
+            found = self.series.log_determinant(scales.independent, scales.stationary)
+        return found + float(np.log(self.diagonal(scales)[alone]).sum())
+
+    @cached_property
+    def _axes(self) -> Numbers:
+        """Number (P,) of the axis of each coefficient of an error motion that has the prior `series` or `principal`; -1
+        for all other unknowns."""
+        if self.principal is not None:
+            return self.principal.axis
+        return np.full(self.blocks.size, -1) if self.series is None else self.series.axes(self.blocks.size)
 
     @cached_property
     def _in_series(self) -> Mask:
         """Mask (P,) of the coefficients of error motions that have the prior `series` or `principal`."""
-        if self.principal is not None:
-            return self.principal.members
-        none = np.zeros(self.blocks.size, dtype=bool)
-        return none if self.series is None else self.series.members(self.blocks.size)
+        return np.asarray(self._axes >= 0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 from twin.identification.misfit import MISFIT_KINDS
 from twin.identification.series_prior import STATIONARY_SHARE
@@ -11,13 +11,16 @@ from twin.identification.series_prior import STATIONARY_SHARE
 OUTSIDE_FAMILY = 10.0
 """Factor from which the errors of a machine are not those of its family. Then the model explains them badly."""
 
+OfAxes = tuple[float, float, float]
+
 
 @dataclass(frozen=True)
 class Scales:
     """Scales: factors on the standard deviations of the touch noise, of the parameter prior and of each kind of misfit.
 
-    The Legendre series of the error motions have two scales of their own: `stationary` for their stationary part, and
-    `independent` for their independent coefficients. The scale `prior` then applies to all other parameters.
+    The Legendre series of the error motions have two scales of their own for each axis: `stationary_x` and so on for
+    their stationary part, and `independent_x` and so on for their independent coefficients. The scale `prior` then
+    applies to all other parameters.
     """
 
     noise: float = 1.0
@@ -26,14 +29,17 @@ class Scales:
     waves_x: float = 1.0
     waves_y: float = 1.0
     waves_z: float = 1.0
-    stationary: float = 1.0
-    independent: float = 1.0
+    stationary_x: float = 1.0
+    stationary_y: float = 1.0
+    stationary_z: float = 1.0
+    independent_x: float = 1.0
+    independent_y: float = 1.0
+    independent_z: float = 1.0
 
     @property
     def values(self) -> tuple[float, ...]:
-        """Scales of the noise, the parameter prior, each kind of misfit, the stationary part of the error motions and
-        their independent coefficients, in this order."""
-        return self.noise, self.prior, *self.kinds, self.stationary, self.independent
+        """All scales, in the order of the fields."""
+        return astuple(self)
 
     @property
     def kinds(self) -> tuple[float, float, float, float]:
@@ -42,14 +48,24 @@ class Scales:
         return self.mixed, self.waves_x, self.waves_y, self.waves_z
 
     @property
+    def stationary(self) -> OfAxes:
+        """Scales of the stationary part of the error motions of X, Y and Z."""
+        return self.stationary_x, self.stationary_y, self.stationary_z
+
+    @property
+    def independent(self) -> OfAxes:
+        """Scales of the independent coefficients of the error motions of X, Y and Z."""
+        return self.independent_x, self.independent_y, self.independent_z
+
+    @property
     def motions(self) -> float:
-        """Scale (factor) on the prior rms of both parts of the error motions combined."""
-        return math.hypot(self.independent, STATIONARY_SHARE * self.stationary)
+        """Scale (factor) on the prior rms of both parts of the error motions of all axes combined."""
+        return math.hypot(*self.independent, *(STATIONARY_SHARE * scale for scale in self.stationary)) / math.sqrt(3.0)
 
     @property
     def of_machine(self) -> float:
         """Largest factor on the standard deviations of the family among those of the machine's errors."""
-        return max(self.prior, self.independent, self.stationary)
+        return max(self.prior, *self.independent, *self.stationary)
 
     @property
     def misfit(self) -> float:

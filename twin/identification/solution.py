@@ -32,6 +32,7 @@ Equations = CentreEquations | DistanceEquations
 class Solution:
     """Solution of an identification problem. It contains the P unknowns z (P,), the poses of the artefact, the left and
     the right side of the exact measurement equations at z, and the equations and the prior from which z was derived.
+    `normal` are the normal equations whose solution is z at `scales`.
 
     `covariance` (P, P) is the covariance of the true minus the estimated z; it is valid for the parameters and the
     misfit. `scales_estimated` is True if `scales`, the factors on the standard deviations of noise, prior and misfit,
@@ -40,6 +41,7 @@ class Solution:
     """
 
     equations: Equations
+    normal: NormalEquations
     precision: PriorPrecision
     scales: Scales
     posterior: Posterior
@@ -77,7 +79,7 @@ def solve(problem: IdentificationProblem, options: Options, formulation: Formula
     chi2 = normal.misfit_square(z) / degrees_of_freedom
     free = options.estimate_scales
     return Solution(
-        equations, precision, scales, posterior, covariance, z, poses, sides, chi2, degrees_of_freedom, free
+        equations, normal, precision, scales, posterior, covariance, z, poses, sides, chi2, degrees_of_freedom, free
     )
 
 
@@ -86,10 +88,9 @@ def average_over_scales(solution: Solution) -> Solution:
     at the likeliest scales."""
     if not solution.scales_estimated:
         return solution
-    equations, scales = solution.equations, solution.scales
-    found = alternatives(equations.matrix, solution.precision, solution.posterior, solution.z, scales, equations.rows)
+    found = alternatives(solution.normal, solution.precision, solution.posterior, solution.scales)
     z, covariance = mean_and_covariance(found)
-    normal, poses, sides = _normal(equations, z, solution.poses)
+    normal, poses, sides = _normal(solution.equations, z, solution.poses)
     chi2 = normal.misfit_square(z) / solution.degrees_of_freedom
     return replace(solution, z=z, covariance=covariance, poses=poses, sides=sides, chi2=chi2, alternatives=found)
 
@@ -213,7 +214,9 @@ def _solve_unit_weights(problem: IdentificationProblem, options: Options, formul
     degrees_of_freedom = max(equations.rows - taken, 1.0)
     chi2 = normal.misfit_square(z) / expected
     sides = problem.sides(z)
-    return Solution(equations, precision, Scales(), posterior, covariance, z, poses, sides, chi2, degrees_of_freedom)
+    return Solution(
+        equations, normal, precision, Scales(), posterior, covariance, z, poses, sides, chi2, degrees_of_freedom
+    )
 
 
 def _null_projector(information: Array) -> Array:

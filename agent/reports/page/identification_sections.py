@@ -103,7 +103,7 @@ def fit(identification: IdentificationData) -> Rows:
         (
             "Machine family",
             f"{fixed(estimate.scales.prior, 2)} times as wide as stated; "
-            f"error motions {fixed(estimate.scales.independent, 2)} times",
+            f"error motions {', '.join(fixed(scale, 2) for scale in estimate.scales.independent)} times (X, Y, Z)",
         ),
         ("Model misfit", misfit),
         ("Conditioning", number(estimate.conditioning, 3)),

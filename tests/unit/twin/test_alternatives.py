@@ -4,52 +4,88 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scale_prior import prior_of_logs
+from scipy.stats import multivariate_normal
 
 from twin.identification.alternatives import Alternative, alternatives, mean_and_covariance
-from twin.identification.evidence import SCALE_PRIORS
-from twin.identification.normal import Posterior, PriorPrecision
+from twin.identification.evidence import SCALE_PRIORS, most_likely_scales
+from twin.identification.normal import NormalEquations, Posterior, PriorPrecision
 from twin.identification.scales import Scales
 from twin.identification.unknowns import UnknownBlocks
 
 BLOCKS = UnknownBlocks.of(5, 2, 0, (4, 3, 3, 3))
 SCALES = Scales(1.3, 0.8, 0.7, 1.4, 0.9, 1.1)
 ROWS = 70
+FREE = 6
+
+
+def found_from(design: np.ndarray, y: np.ndarray, scales: Scales = SCALES) -> tuple[Alternative, ...]:
+    normal = NormalEquations(design.T @ design, design.T @ y, float(y @ y), len(y))
+    precision = PriorPrecision(BLOCKS)
+    return alternatives(normal, precision, Posterior.of(normal.matrix, precision, scales), scales)
 
 
 def set_up(seed: int) -> tuple[np.ndarray, np.ndarray, tuple[Alternative, ...]]:
     rng = np.random.default_rng(seed)
     design = rng.normal(size=(ROWS, BLOCKS.size))
     y = design @ rng.normal(size=BLOCKS.size) + SCALES.noise * rng.normal(size=ROWS)
-    matrix, precision = design.T @ design, PriorPrecision(BLOCKS)
-    posterior = Posterior.of(matrix, precision, SCALES)
-    z = posterior.solve(design.T @ y / SCALES.noise**2)
-    return design, y, alternatives(matrix, precision, posterior, z, SCALES, ROWS)
+    return design, y, found_from(design, y)
+
+
+def dense_parts(design: np.ndarray, scales: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return the covariances of the measurements by noise, parameters and four kinds of misfit, and of the rest."""
+    parts = [scales[0] ** 2 * np.eye(len(design))]
+    for block, scale in zip((BLOCKS.parameters, *BLOCKS.kinds), scales[1:], strict=True):
+        parts.append(scale**2 * design[:, block] @ design[:, block].T)
+    certificate = design[:, BLOCKS.certificate]
+    return (*parts, certificate @ certificate.T)
 
 
 def dense_log_covariance(design: np.ndarray) -> np.ndarray:
     """Return the covariance of the log scales from the measurement covariance and its derivatives by them."""
-    parts = [SCALES.noise**2 * np.eye(ROWS)]
-    for block, scale in zip((BLOCKS.parameters, *BLOCKS.kinds), SCALES.values[1:6], strict=True):
-        parts.append(scale**2 * design[:, block] @ design[:, block].T)
-    certificate = design[:, BLOCKS.certificate]
-    inverse = np.linalg.inv(sum(parts) + certificate @ certificate.T)
-    information = np.zeros((6, 6))
+    *parts, rest = dense_parts(design, np.array(SCALES.values[:FREE]))
+    inverse = np.linalg.inv(sum(parts) + rest)
+    information = prior_of_logs()[:FREE, :FREE]
     for row, one in enumerate(parts):
         for column, other in enumerate(parts):
-            information[row, column] = 0.5 * np.trace(inverse @ (2.0 * one) @ inverse @ (2.0 * other))
-    for row, factor in enumerate((3.0, 30.0, 3.0, 3.0, 3.0, 3.0)):
-        # noise and parameter prior about 1, each kind of misfit about the scale of the parameter prior
-        of_row = np.eye(6)[row] - (np.eye(6)[1] if row > 1 else 0.0)
-        information += np.outer(of_row, of_row) / np.log(factor) ** 2
-    return np.linalg.inv(information)
+            information[row, column] += 0.5 * np.trace(inverse @ (2.0 * one) @ inverse @ (2.0 * other))
+    return np.asarray(np.linalg.inv(information))
 
 
-def test_log_scales_have_the_covariance_of_the_dense_fisher_information() -> None:
+def test_points_lie_on_the_principal_axes_of_the_dense_fisher_information() -> None:
     design, _, found = set_up(1)
-    logs = np.log([one.scales.values for one in found])
-    assert len(found) == 7
-    assert logs.mean(axis=0) == pytest.approx(np.log(SCALES.values), abs=1e-9)
-    assert np.cov(logs[:, :6].T, bias=True) == pytest.approx(dense_log_covariance(design), rel=1e-6, abs=1e-9)
+    logs = (np.log([one.scales.values for one in found]) - np.log(SCALES.values))[:, :FREE]
+    assert len(found) == 2 * FREE
+    variances, axes = np.linalg.eigh(dense_log_covariance(design))
+    away = (logs @ axes) / np.sqrt(FREE * variances)
+    for number in range(FREE):
+        one, other = away[2 * number : 2 * number + 2]
+        assert np.delete(one, number) == pytest.approx(0.0, abs=1e-6)
+        assert np.delete(other, number) == pytest.approx(0.0, abs=1e-6)
+        assert one[number] * other[number] < 0.0
+        assert 0.2 <= abs(one[number]) <= 2.0
+
+
+def test_a_point_lies_where_the_dense_density_falls_as_that_of_a_normal_distribution() -> None:
+    """One step along an axis, from the dense density: exactly for a parabola, nearly for what is nearly one."""
+    design, y, found = set_up(6)
+    prior = prior_of_logs()
+
+    def dense(logs: np.ndarray) -> float:
+        covariance = sum(dense_parts(design, np.exp(logs[:FREE])))
+        return float(multivariate_normal.logpdf(y, np.zeros(ROWS), covariance)) - 0.5 * float(logs @ prior @ logs)
+
+    centre = np.log(SCALES.values)
+    variances, axes = np.linalg.eigh(dense_log_covariance(design))
+    for one in found:
+        moved = np.log(one.scales.values) - centre
+        number = int(np.abs(moved[:FREE] @ axes / np.sqrt(variances)).argmax())
+        full = np.zeros(12)
+        full[:FREE] = np.sign(moved[:FREE] @ axes[:, number]) * np.sqrt(FREE * variances[number]) * axes[:, number]
+        rise = 2.0 * (dense(centre) - dense(centre + full))
+        factor = np.clip(np.sqrt(FREE / rise), 0.2, 2.0) if rise > 0.0 else 2.0
+        taken = float(np.linalg.norm(moved) / np.linalg.norm(full))
+        assert taken == pytest.approx(factor, rel=1e-6)
 
 
 def test_each_alternative_is_the_dense_posterior_under_its_scales() -> None:
@@ -72,12 +108,24 @@ def test_together_they_are_wider_than_their_mean_by_how_they_differ() -> None:
     assert np.diagonal(covariance) == pytest.approx(drawn.var(axis=0), rel=0.06)
 
 
+def test_a_scale_of_errors_that_are_not_seen_is_not_taken_for_far_larger() -> None:
+    """Many waves of which the machine has none, each hardly seen: large scales are refuted, small ones are not."""
+    rng, blocks = np.random.default_rng(8), UnknownBlocks.of(5, 2, 0, (4, 20, 3, 3))
+    design = 0.2 * rng.normal(size=(ROWS, blocks.size))
+    true = rng.normal(size=blocks.size)
+    true[blocks.kinds[1]] = 0.0
+    y = design @ true + rng.normal(size=ROWS)
+    normal = NormalEquations(design.T @ design, design.T @ y, float(y @ y), ROWS)
+    precision = PriorPrecision(blocks)
+    scales = most_likely_scales(normal, precision, Scales())
+    found = alternatives(normal, precision, Posterior.of(normal.matrix, precision, scales), scales)
+    logs = np.log([one.scales.waves_x for one in found]) - np.log(scales.waves_x)
+    assert -logs.min() > 1.3 * logs.max()
+
+
 def test_scales_stay_within_their_bounds() -> None:
     design = np.random.default_rng(5).normal(size=(ROWS, BLOCKS.size)) * 1e-4  # weak: almost no information
-    matrix, precision = design.T @ design, PriorPrecision(BLOCKS)
-    scales = Scales(1.0, 2.9, 9.5, 0.11, 1.0, 1.0)
-    posterior = Posterior.of(matrix, precision, scales)
-    for one in alternatives(matrix, precision, posterior, np.zeros(BLOCKS.size), scales, ROWS):
+    for one in found_from(design, np.zeros(ROWS), Scales(1.0, 2.9, 9.5, 0.11, 1.0, 1.0)):
         for value, prior in zip(one.scales.values, SCALE_PRIORS, strict=True):
             assert prior.low <= value * (1.0 + 1e-12)
             assert value <= prior.high * (1.0 + 1e-12)

@@ -223,7 +223,8 @@ class TestOutliers:
         assert sorted(estimate.rejected) == rows
         clean = identify(model, seen.select(~np.isin(np.arange(seen.size), (3, 5, 150))), artefact, family)
         scale = family.prior_standard_deviation
-        assert estimate.parameters / scale == pytest.approx(clean.parameters / scale, abs=1e-4)
+        # the search for the scales ends within about 1 % of the likeliest ones, wherever it begins
+        assert estimate.parameters / scale == pytest.approx(clean.parameters / scale, abs=1e-3)
         assert np.linalg.norm(estimate.residuals_mm[150]) == pytest.approx(0.5, abs=0.01)
 
     def test_a_clean_set_loses_no_ball(self) -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 from measured_set import AMPLITUDES, TOOL, bar, case_study, measured
+from scale_prior import prior_of_logs
 from scipy.linalg import null_space
 from scipy.stats import multivariate_normal
 
@@ -35,8 +37,9 @@ def seen_of(order: int, seed: int, expression: str = "S3", stations: int = 2) ->
     )
 
 
-def stationary_columns(family: Family, seen: Observations) -> np.ndarray:
-    """Return columns (n, 3, m) whose sum of squares is the covariance of the stationary part of all error motions.
+def stationary_columns(family: Family, seen: Observations, scales: Sequence[float]) -> np.ndarray:
+    """Return columns (n, 3, m) whose sum of squares is the covariance of the stationary part of all error motions, with
+    the scales of X, Y and Z.
 
     The integrals of the Matérn kernel with the Legendre polynomials are taken by the midpoint rule.
     """
@@ -55,7 +58,7 @@ def stationary_columns(family: Family, seen: Observations) -> np.ndarray:
         covariance = weights @ kernel @ weights.T
         squares = 1.0 / (2.0 * orders + 1.0)
         covariance *= 0.25 * (squares @ sd[here] ** 2) / (squares @ np.diag(covariance))
-        found.append(basis[:, :, here] @ np.linalg.cholesky(covariance))
+        found.append(scales["XYZ".index(error[2])] * basis[:, :, here] @ np.linalg.cholesky(covariance))
     return np.concatenate(found, axis=2)
 
 
@@ -63,12 +66,13 @@ def dense_log_evidence(order: int, seen: Observations, scales: tuple[float, ...]
     """Return the log normal density of the residuals with the poses projected out, in one matrix over all balls."""
     family = family_of(order)
     points = seen.axis_positions + TOOL
-    in_series = [name.startswith("E") for name in family.model.names]
-    deviations = family.prior_standard_deviation * np.where(in_series, scales[7], scales[1])
+    stationary, independent = scales[6:9], scales[9:12]
+    factors = [independent["XYZ".index(name[2])] if name.startswith("E") else scales[1] for name in family.model.names]
+    deviations = family.prior_standard_deviation * factors
     columns = [deviation_basis(family.model, seen.axis_positions, TOOL) * deviations]
     modes = misfit_modes(family.model, tuple(TOOL.tolist()))
     columns.append(1e-3 * modes.at(seen.axis_positions) * np.repeat(scales[2:6], modes.sizes))
-    columns.append(scales[6] * stationary_columns(family, seen))
+    columns.append(stationary_columns(family, seen, stationary))
     certificate, residual, kept = np.zeros((seen.size, 3, 21)), np.zeros((seen.size, 3)), []
     for position in np.unique(seen.position):
         here = np.flatnonzero(seen.position == position)
@@ -87,9 +91,7 @@ def dense_log_evidence(order: int, seen: Observations, scales: tuple[float, ...]
     free = null_space(np.concatenate(kept, axis=1).T).T
     covariance = free @ (design @ design.T + (1e-3 * scales[0]) ** 2 * np.eye(len(design))) @ free.T
     density = multivariate_normal.logpdf(free @ residual.reshape(-1), np.zeros(len(free)), covariance)
-    noise, prior, *tied = np.log(scales)
-    distances = np.array([noise / np.log(3.0), prior / np.log(30.0), *((one - prior) / np.log(3.0) for one in tied)])
-    return float(density) - 0.5 * float((distances**2).sum())
+    return float(density) - 0.5 * float(np.log(scales) @ prior_of_logs() @ np.log(scales))
 
 
 def test_evidence_of_orders_differs_as_the_dense_densities_do() -> None:

@@ -228,9 +228,5 @@ def _scales(
         matrix = normal.matrix * np.multiply.outer(widening, widening)
         free = NormalEquations(matrix, normal.right * widening, normal.square, normal.rows)
         scales = most_likely_scales(free, precision, scales)
-    return replace(
-        scales,
-        prior=max(scales.prior, 1.0),
-        independent=max(scales.independent, 1.0),
-        stationary=max(scales.stationary, 1.0),
-    )
+    noise, prior, *kinds = scales.values[:6]
+    return Scales(noise, max(prior, 1.0), *kinds, *(max(scale, 1.0) for scale in scales.values[6:]))
