@@ -25,14 +25,14 @@ REACHED_MM, BENT_MM = (230.0, 1270.0), 0.06
 
 @dataclass(frozen=True)
 class BentAtTheEnds(ForeignMachine):
-    """Foreign machine that bends by 60 µm at both ends of Z, beyond the heights that the position set reaches."""
+    """Foreign machine that bends beyond the heights that the position set reaches, by 60 µm at both ends of Z."""
 
     def deviation(self, axis_positions: np.ndarray) -> np.ndarray:
         """Return the position of the tool point minus the nominal one, (n, 3) in mm."""
         below, above = REACHED_MM[0] - axis_positions[:, 2], axis_positions[:, 2] - REACHED_MM[1]
         beyond = np.maximum(np.maximum(below, above), 0.0) / REACHED_MM[0]
         bent = super().deviation(axis_positions)
-        bent[:, 0] += BENT_MM * beyond
+        bent[:, 0] += BENT_MM * beyond**2
         return bent
 
 

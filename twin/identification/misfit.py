@@ -40,7 +40,7 @@ MISFIT_KINDS = {"mixed terms": 1 / 2, "waves along X": 1 / 6, "waves along Y": 1
 # Prior assumptions of size and shape. `campaigns.foreign` and the study of coverage test them on fields of other kinds.
 _MIXED_DEGREE = 6
 _ORDERS_BEYOND = 8
-_MIXED_DECAY = 0.6  # factor on the prior standard deviation per degree
+_MIXED_DECAY = 0.75  # factor on the prior standard deviation per degree
 _WAVE_LENGTH = 1.0  # correlation length of the waves on the axis normalised to [-1, 1], as for the error motions
 _LEVER_AMPLITUDE = 0.4  # amplitude of a wave with a lever relative to one without
 _MAX_MODES = (17, 12, 12, 12)  # by kind; the remainder is small enough to be treated as uncorrelated

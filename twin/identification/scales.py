@@ -64,8 +64,9 @@ class Scales:
 
     @property
     def of_machine(self) -> float:
-        """Largest factor on the standard deviations of the family among those of the machine's errors."""
-        return max(self.prior, *self.independent, *self.stationary)
+        """Larger of the factors on the standard deviations of the family: that of the error motions of all axes, and
+        that of all other errors of the machine."""
+        return max(self.prior, self.motions)
 
     @property
     def misfit(self) -> float:
