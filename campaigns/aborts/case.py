@@ -36,7 +36,12 @@ LENIENT: dict[str, dict[str, Any]] = {
         "positions_deg": [(20.0, 25.0)],
         "max_chi2": 1e3,
     },
-    "gates": {"min_degrees_of_freedom": 1, "max_unmeasured_fraction": 10.0, "max_chi2": 1e3},
+    "gates": {
+        "min_degrees_of_freedom": 1,
+        "max_unmeasured_fraction": 10.0,
+        "max_chi2": 1e3,
+        "max_correction_um": 1e3,
+    },
     "table": {"step_mm": (500.0, 325.0, 500.0)},
 }
 """Settings of a run of few positions: one held-out position, gates that few measurements can pass, a coarse table."""

@@ -43,6 +43,7 @@ def test_a_machine_many_times_worse_is_predicted_as_it_is(worse: float) -> None:
 def test_a_nearly_perfect_machine_is_not_promised_what_it_does_not_get(worse: float) -> None:
     found = scores(worse)
     assert max(one.ratio for one in found) < 1.3
+    assert float(np.mean([one.ratio for one in found])) > 0.6
     for one in found:
         promised = one.predicted_um < 0.8 * one.before_um
         assert one.after_um < one.before_um or not promised
