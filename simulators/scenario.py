@@ -10,7 +10,7 @@ import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
 
@@ -139,7 +139,8 @@ class AgeingSettings(StrictModel):
     `season_nights`. All errors also change in a random walk. `walk_um` is the rms over the working volume of the
     deviation that one night of this walk adds. On night `collision_night`, errors jump by the values of `collision`, in
     µm or µrad. Each key of `collision` is the ISO name of an error, such as EXX, and may add the Legendre order of the
-    coefficient that jumps, as in EXX[1]. Without an order, the coefficient of the lowest order jumps.
+    coefficient that jumps, as in EXX[1]. Without an order, the coefficient of the lowest order jumps. They jump before
+    the night begins or, if `collision_minute` is given, at this minute of the machine time of the night.
     """
 
     night: int = Field(default=0, ge=0)
@@ -149,7 +150,14 @@ class AgeingSettings(StrictModel):
     phases_deg: Coordinates = (0.0, 0.0, 0.0)
     walk_um: NonNegativeFloat = 0.0
     collision_night: PositiveInt | None = None
+    collision_minute: PositiveFloat | None = None
     collision: dict[str, float] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _check_minute(self) -> Self:
+        if self.collision_minute is not None and self.collision_night is None:
+            raise ValueError("collision_minute needs collision_night, the night to which it belongs")
+        return self
 
 
 class ScenarioDocument(StrictModel):

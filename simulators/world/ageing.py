@@ -10,6 +10,7 @@ import numpy as np
 
 from drivers.errors import ConfigurationError
 from simulators.scenario import AgeingSettings, Scenario
+from simulators.world.field_changes import CollisionInRun
 from simulators.world.noise import generator
 from twin.arrays import Array
 from twin.identification import process_noise
@@ -25,7 +26,8 @@ _SEED_OFFSET_PER_NIGHT = 1_000_003
 
 
 def apply_ageing(machine: TrueMachine, description: MachineDescription, ageing: AgeingSettings) -> TrueMachine:
-    """Return `machine` with the errors that it has, because of its ageing, in the night with the number `ageing.night`.
+    """Return `machine` with the errors that it has, because of its ageing, at the beginning of the night numbered
+    `ageing.night`.
 
     Raises ConfigurationError if `ageing.collision` names an error that the machine does not have.
     """
@@ -33,9 +35,25 @@ def apply_ageing(machine: TrueMachine, description: MachineDescription, ageing: 
     if model is None:
         return machine
     change = seasonal_change(model, ageing) + _random_walk_change(model, description, machine.tool_offset, ageing)
-    if ageing.collision_night is not None and ageing.night >= ageing.collision_night:
+    if ageing.collision_night is not None and ageing.night >= ageing.collision_night and not _is_struck(ageing):
         change += collision_change(model, ageing.collision)
     return replace(machine, parameters=machine.parameters + change)
+
+
+def collision_in_run(machine: TrueMachine, ageing: AgeingSettings) -> CollisionInRun | None:
+    """Return the collision during the simulated night, or None if there is none.
+
+    `machine` is the machine at the beginning of the night. Raises ConfigurationError as `apply_ageing` does.
+    """
+    if machine.model is None or ageing.collision_minute is None or not _is_struck(ageing):
+        return None
+    after = replace(machine, parameters=machine.parameters + collision_change(machine.model, ageing.collision))
+    return CollisionInRun(60.0 * ageing.collision_minute, machine, after)
+
+
+def _is_struck(ageing: AgeingSettings) -> bool:
+    """Return True if the collision happens during the simulated night."""
+    return ageing.collision_minute is not None and ageing.night == ageing.collision_night
 
 
 def scenario_of_night(scenario: Scenario, night: int) -> Scenario:

@@ -19,12 +19,12 @@ from drivers.roles import AxisLimits, MotionState, Permission, StoreLimits, Tabl
 from simulators.scenario import Scenario
 from simulators.world.contact import ContactSolver
 from simulators.world.field import FieldOfMany, TipShift
+from simulators.world.field_changes import FieldChanges
 from simulators.world.lost_motion import PlayOperator
 from simulators.world.motion_forecast import MotionCommand, MotionForecast, MoveKind, PathEvents, forecast_motion
 from simulators.world.noise import BY_STEP
 from simulators.world.path_lookahead import PathLookahead
 from simulators.world.tables import TableBanks
-from simulators.world.thermal_effects import ThermalEffects
 from simulators.world.trigger import Trigger
 from simulators.world.workpiece import WorkpieceSnapshot
 from simulators.world.worktable import Worktable
@@ -71,7 +71,7 @@ class Controller:
         *,
         machine_field: FieldOfMany | None,
         table: Worktable,
-        thermal: ThermalEffects,
+        changes: FieldChanges,
         on_motion: Callable[[], None],
         on_collision: Callable[[str, str], None],
     ) -> None:
@@ -79,7 +79,7 @@ class Controller:
         self._limits = axis_limits(scenario.machine)
         self._tool = point(scenario.machine.tool(settings.tool))
         self._table = table
-        self._thermal = thermal
+        self._changes = changes
         self._trigger = Trigger(settings.trigger, settings.seed, scenario.frame)
         self._play = PlayOperator(settings.axes, settings.seed)
         self._shift = TipShift(machine_field)
@@ -162,7 +162,7 @@ class Controller:
         return tripped or (self._deflected and self.now_s < forecast.free_s)
 
     def temperatures(self) -> dict[str, float]:
-        return self._thermal.temperatures_c(self.now_s)
+        return self._changes.thermal.temperatures_c(self.now_s)
 
     # ------------------------------------------------------------------ motion commands
 
@@ -272,8 +272,8 @@ class Controller:
         command = self._command(kind, target, feed_mm_per_s)
         snapshot = self._table.snapshot(self.now_s)
         resting = self._contacted_ball(snapshot) if self._deflected else None
-        self._shift.drift = self._thermal.drift_mm(self.now_s)
-        self._shift.thermal = self._thermal.field(self.now_s)
+        self._shift.drift = self._changes.thermal.drift_mm(self.now_s)
+        self._shift.change = self._changes.field(self.now_s)
         # Noise by step keeps the readings of a resumed run equal to those of an uninterrupted one, although the numbers
         # of their motions differ.
         step = BY_STEP + self._tag if self._by_step and self._tag else None

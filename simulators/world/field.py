@@ -54,8 +54,8 @@ class TipShift:
 
     The nominal tip centre is the displayed axis position plus the tool offset. If the axes display the position X, the
     drives go to X plus the correction of the compensation table at X. At that place of the drives the true machine has
-    a deviation and a `thermal` deformation. The position-dependent part of the offset is the sum of correction,
-    deviation and thermal deformation.
+    a deviation, with its `change` since the start of the simulation. The position-dependent part of the offset is the
+    sum of correction, deviation and change.
 
     Two other parts are the same at every position. One is the thermal `drift`, the growth of spindle and ram. The other
     is the `play`, the error that the last motion leaves because of backlash and limited repeatability.
@@ -64,13 +64,13 @@ class TipShift:
     def __init__(self, machine: FieldOfMany | None) -> None:
         self._machine = machine
         self.table: TableField | None = None
-        self.thermal: FieldOfMany | None = None
+        self.change: FieldOfMany | None = None
         self.drift: Point = ZERO
         self.play: Point = ZERO
 
     @property
     def has_field(self) -> bool:
-        return not (self._machine is None and self.table is None and self.thermal is None)
+        return not (self._machine is None and self.table is None and self.change is None)
 
     @property
     def rigid(self) -> Point:
@@ -90,7 +90,7 @@ class TipShift:
         if self.table is not None:
             shift += self.table.at_many(axis_positions)
         bare = axis_positions + shift
-        for field in (self._machine, self.thermal):
+        for field in (self._machine, self.change):
             if field is not None:
                 shift += field(bare)
         return shift

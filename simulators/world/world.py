@@ -10,9 +10,10 @@ import numpy as np
 from drivers.errors import CommandRejected, InputError
 from drivers.roles import TableImage
 from simulators.scenario import Misplacement, Scenario
-from simulators.world.ageing import apply_ageing
+from simulators.world.ageing import apply_ageing, collision_in_run
 from simulators.world.controller import Controller
 from simulators.world.field import FieldOfMany, TableField
+from simulators.world.field_changes import FieldChanges
 from simulators.world.mount import MountPhysics
 from simulators.world.noise import generator
 from simulators.world.thermal_effects import ThermalEffects
@@ -59,6 +60,7 @@ class World:
             point(scenario.machine.tool(settings.tool)),
             settings.seed,
         )
+        changes = FieldChanges(thermal, collision_in_run(machine, settings.ageing))
         self.scenario = scenario
         self.now = 0.0
         self.collisions: list[Collision] = []
@@ -68,12 +70,12 @@ class World:
             scenario,
             machine_field=None if machine.is_perfect else machine.deviation,
             table=self.table,
-            thermal=thermal,
+            changes=changes,
             on_motion=self._expect_change,
             on_collision=self._record,
         )
         self.truth = MachineTruth(
-            machine, scenario.machine.model, self.controller.banks, lambda: thermal.field(self.now)
+            machine, scenario.machine.model, self.controller.banks, lambda: changes.field(self.now)
         )
         self._turn_crash: TurnCrash | None = None
         self._looked_ahead = True
@@ -219,10 +221,10 @@ def true_machine(scenario: Scenario) -> TrueMachine:
 
 
 class MachineTruth:
-    """True error of the machine at its present temperature.
+    """True error of the machine at its present temperature, and after a collision if there was one.
 
     `banks` maps the numbers of the controller's banks to their compensation tables; it is shared with the controller
-    and not copied. `warm_field` is a function that returns the present thermal change of the deviation field, or None.
+    and not copied. `change` is a function that returns the present change of the deviation field, or None.
     The thermal growth of spindle and ram is excluded: it shifts the tip equally at all positions, like a new zero
     point, and a compensation table need not correct such a shift.
     """
@@ -232,11 +234,11 @@ class MachineTruth:
         machine: TrueMachine,
         nominal: ErrorModel,
         banks: Mapping[int, TableImage],
-        warm_field: Callable[[], FieldOfMany | None] = lambda: None,
+        change: Callable[[], FieldOfMany | None] = lambda: None,
     ) -> None:
         self.machine = machine
         self._banks = banks
-        self._warm_field = warm_field
+        self._change = change
         self._grid = evaluation_grid(nominal.ranges_mm)
 
     def true_volumetric_error(self, bank: int | None = None) -> tuple[float, float]:
@@ -256,8 +258,8 @@ class MachineTruth:
         # The error of the machine is that of the place where the axes really are.
         bare = displayed + correction
         deviation = correction + self.machine.deviation(bare)
-        warm = self._warm_field()
-        if warm is not None:
-            deviation = deviation + warm(bare)
+        changed = self._change()
+        if changed is not None:
+            deviation = deviation + changed(bare)
         result = volumetric_error(displayed + self.machine.tool_offset, deviation)
         return result.raw_um, result.aligned_um

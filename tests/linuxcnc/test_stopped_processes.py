@@ -65,10 +65,8 @@ def _when_moving(live: Live, other, stop: Callable[[], None]) -> None:
     stop()
 
 
-def motor_x(live: Live) -> float:
-    done = subprocess.run(
-        live.process.inside("halcmd", "getp", "joint.0.motor-pos-cmd"), check=True, capture_output=True, text=True
-    )
+def pin(live: Live, name: str) -> float:
+    done = subprocess.run(live.process.inside("halcmd", "getp", name), check=True, capture_output=True, text=True)
     return float(done.stdout)
 
 
@@ -79,8 +77,8 @@ def test_task_that_stands_still_is_a_fault_and_the_motion_is_held(live: Live) ->
             assert "LinuxCNC's task has been stopped by a signal" in str(error)
             assert "restart LinuxCNC" in error.hint
             assert "its motion is held" in "".join(error.__notes__)
-            until(lambda: motor_x(live) == motor_x(live))
-            assert END[0] + 100.0 < motor_x(live) < START[0]
+            until(lambda: pin(live, "motion.current-vel") == 0.0)
+            assert END[0] + 100.0 < pin(live, "joint.0.motor-pos-cmd") < START[0]
             with pytest.raises(LinkLost, match="task"):
                 device.status()
             began_s = wall_seconds()

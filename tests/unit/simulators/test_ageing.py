@@ -50,6 +50,33 @@ def test_a_collision_turns_z_at_its_night_and_not_before() -> None:
         assert change[3] - change[0] == pytest.approx([12e-6 * 1500.0, 0.0, 0.0], abs=1e-6)
 
 
+def error_at(minute: float, **ageing: object) -> tuple[float, float]:
+    """Return the true volumetric error in µm at that minute of the machine time of the night."""
+    settings = SCENARIO.settings.model_copy(update={"ageing": AgeingSettings(**ageing)})
+    world = World(replace(SCENARIO, settings=settings))
+    world.advance_to(60.0 * minute)
+    return world.truth.true_volumetric_error()
+
+
+@pytest.mark.parametrize(
+    ("night", "minute", "struck"), [(16, 60.0, False), (17, 11.9, False), (17, 12.1, True), (18, 1.0, True)]
+)
+def test_a_collision_in_mid_run_happens_at_its_minute_of_its_night(night: int, minute: float, struck: bool) -> None:
+    collision = {"collision_night": 17, "collision": {"B0Z": 60.0}}
+    found = error_at(minute, night=night, collision_minute=12.0, **collision)
+    whole, struck_before = (
+        error_at(minute, night=night),
+        error_at(minute, night=night, **{**collision, "collision_night": 1}),
+    )
+    assert abs(struck_before[0] - whole[0]) > 1.0
+    assert found == pytest.approx(struck_before if struck else whole, abs=1e-9)
+
+
+def test_a_minute_needs_the_night_of_its_collision() -> None:
+    with pytest.raises(ValueError, match="collision_minute needs collision_night"):
+        AgeingSettings(night=1, collision_minute=12.0, collision={"B0Z": 60.0})
+
+
 def test_a_walk_has_the_rms_that_is_asked_for_and_goes_on() -> None:
     pairs = [(night, seed) for night in (1, 2) for seed in range(9)]
     steps = [deviation(n, walk_um=1.0, seed=s) - deviation(n - 1, walk_um=1.0, seed=s) for n, s in pairs]
