@@ -35,7 +35,11 @@ def apply_ageing(machine: TrueMachine, description: MachineDescription, ageing: 
     if model is None:
         return machine
     change = seasonal_change(model, ageing) + _random_walk_change(model, description, machine.tool_offset, ageing)
-    if ageing.collision_night is not None and ageing.night >= ageing.collision_night and not _is_struck(ageing):
+    if (
+        ageing.collision_night is not None
+        and ageing.night >= ageing.collision_night
+        and _struck_at_minute(ageing) is None
+    ):
         change += collision_change(model, ageing.collision)
     return replace(machine, parameters=machine.parameters + change)
 
@@ -45,15 +49,16 @@ def collision_in_run(machine: TrueMachine, ageing: AgeingSettings) -> CollisionI
 
     `machine` is the machine at the beginning of the night. Raises ConfigurationError as `apply_ageing` does.
     """
-    if machine.model is None or ageing.collision_minute is None or not _is_struck(ageing):
+    minute = _struck_at_minute(ageing)
+    if machine.model is None or minute is None:
         return None
     after = replace(machine, parameters=machine.parameters + collision_change(machine.model, ageing.collision))
-    return CollisionInRun(60.0 * ageing.collision_minute, machine, after)
+    return CollisionInRun(60.0 * minute, machine, after)
 
 
-def _is_struck(ageing: AgeingSettings) -> bool:
-    """Return True if the collision happens during the simulated night."""
-    return ageing.collision_minute is not None and ageing.night == ageing.collision_night
+def _struck_at_minute(ageing: AgeingSettings) -> float | None:
+    """Return the minute of the simulated night at which the collision happens, or None if none happens during it."""
+    return ageing.collision_minute if ageing.night == ageing.collision_night else None
 
 
 def scenario_of_night(scenario: Scenario, night: int) -> Scenario:

@@ -16,7 +16,7 @@ from queue import SimpleQueue
 from typing import Any
 
 import httpx
-from simulated import COMMAND, CONFIG, PATIENCE_S, SCENARIO, SHORT_SET, configured, simulated, wait_for
+from simulated import COMMAND, PATIENCE_S, SHORT_SET, configured, scenario_text, simulated, wait_for
 
 SHORT = {
     'position_set = "S3"': 'position_set = "short.csv"\nstations = [1]',
@@ -30,10 +30,8 @@ AT_ONCE = "\n[service]\nport = 0\nwarm_up_minutes = 0\n"
 
 @contextmanager
 def simulator(directory: Path) -> Iterator[tuple[subprocess.Popen[bytes], dict[str, Any]]]:
-    scenario = SCENARIO.read_text().replace("[truth]", "[truth]\nscale = 4.0")
-    scenario = scenario.replace('"../', f'"{CONFIG}/')
     path = directory / "scenario.toml"
-    path.write_text(scenario)
+    path.write_text(scenario_text().replace("[truth]", "[truth]\nscale = 4.0"))
     with simulated(path) as started:
         yield started
 

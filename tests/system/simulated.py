@@ -27,6 +27,11 @@ With two of its positions the predicted VCE is as large as the estimated VE, and
 """
 
 
+def scenario_text() -> str:
+    """The text of the shipped scenario, with paths that hold in any directory."""
+    return SCENARIO.read_text(encoding="utf-8").replace('"../', f'"{CONFIG}/')
+
+
 @contextmanager
 def simulated(scenario: Path = SCENARIO) -> Iterator[tuple[subprocess.Popen[bytes], dict[str, Any]]]:
     """The process and what it says when it is ready: where its links are."""

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-from simulated import SHORT_SET
+from simulated import SHORT_SET, scenario_text
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "config"
@@ -43,11 +43,8 @@ def short_settings(directory: Path, shipped: str = "case-study.toml", more: Sequ
 
 def bad_machine(directory: Path) -> Path:
     """Four times the errors of the family: something that three positions can already better."""
-    text = (CONFIG / "simulators" / "case-study.toml").read_text()
-    for former, now in (("../machines/", f"{CONFIG}/machines/"), ("../artefacts/", f"{CONFIG}/artefacts/")):
-        text = text.replace(former, now)
     path = directory / "scenario.toml"
-    path.write_text(text.replace("[truth]", "[truth]\nscale = 4.0"))
+    path.write_text(scenario_text().replace("[truth]", "[truth]\nscale = 4.0"))
     return path
 
 

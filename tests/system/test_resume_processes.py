@@ -11,7 +11,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from simulated import CONFIG, SCENARIO, SHORT_SET, balls_in, configured, simulated, wait_until
+from simulated import SHORT_SET, balls_in, configured, scenario_text, simulated, wait_until
 from stored_run import stored_run
 
 BALLS_BEFORE_THE_KILL = 5
@@ -19,7 +19,7 @@ BALLS_BEFORE_THE_KILL = 5
 
 def short_case(directory: Path) -> tuple[Path, str]:
     """A scenario whose noise belongs to the steps, and what makes the shipped settings a short run on it."""
-    text = SCENARIO.read_text().replace('"../', f'"{CONFIG}/').replace("seed = 1 ", "noise_by_step = true\nseed = 1 ")
+    text = scenario_text().replace("seed = 1 ", "noise_by_step = true\nseed = 1 ")
     assert tomllib.loads(text)["noise_by_step"] is True
     path = directory / "scenario.toml"
     path.write_text(text.replace("[truth]", "[truth]\nscale = 6.0"))

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner
+from simulated import scenario_text
 
 from drivers.clock import LockstepClock, VirtualClock
 from drivers.errors import CommandRejected, LinkLost
@@ -209,9 +210,8 @@ def test_absent_scenario(tmp_path: Path) -> None:
 
 
 def test_scenario_that_does_not_fit_the_register_map(tmp_path: Path) -> None:
-    text = SCENARIO.read_text(encoding="utf-8").replace('"../', f'"{SCENARIO.parents[1]}/')
     three = tmp_path / "three-banks.toml"
-    three.write_text(text + "\n[store]\nbanks = [1, 2, 3]\n", encoding="utf-8")
+    three.write_text(scenario_text() + "\n[store]\nbanks = [1, 2, 3]\n", encoding="utf-8")
     ended = CliRunner().invoke(simulate, ["--config", str(three)])
     assert (ended.exit_code, ended.stdout) == (2, "")
     assert "banks [1, 2, 3]" in ended.stderr

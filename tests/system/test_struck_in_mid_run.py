@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from simulated import SCENARIO, configured, simulated
+from simulated import configured, scenario_text, simulated
 from volcal_command import volcal_json
 
 from drivers.clock import LockstepClock
@@ -17,20 +17,15 @@ from drivers.registry import DeviceContext, create_device
 from drivers.roles import CompensationStore, TableImage
 
 STRUCK_AT_MIN, STRUCK_URAD = 12.0, 30.0
-FORMER_BANK, RESOLUTION_MM = 1, 1e-4
-FORMER_TABLE = TableImage(
-    (0.0, 0.0, 0.0), (2000.0, 650.0, 750.0), RESOLUTION_MM, np.full((3, 3, 3, 3), 7, dtype=np.int32)
-)
+FORMER_BANK = 1
+FORMER_TABLE = TableImage((0.0, 0.0, 0.0), (2000.0, 650.0, 750.0), 1e-4, np.full((3, 3, 3, 3), 7, dtype=np.int32))
 
 
 def struck_scenario(directory: Path) -> Path:
     """Write the shipped scenario with a collision that turns the column about Y while the run measures."""
-    text = SCENARIO.read_text()
-    for folder in ("machines", "artefacts"):
-        text = text.replace(f'"../{folder}/', f'"{SCENARIO.parents[1] / folder}/')
     path = directory / "struck.toml"
     path.write_text(
-        f"{text}\n[ageing]\nnight = 1\ncollision_night = 1\ncollision_minute = {STRUCK_AT_MIN}\n"
+        f"{scenario_text()}\n[ageing]\nnight = 1\ncollision_night = 1\ncollision_minute = {STRUCK_AT_MIN}\n"
         f"[ageing.collision]\nB0Z = {STRUCK_URAD}\n"
     )
     return path

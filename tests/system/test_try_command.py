@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from nights import SCENARIO, Night, short_document
-from simulated import COMMAND, ROOT, configured, simulated
+from simulated import COMMAND, ROOT, configured, scenario_text, simulated
 
 from agent.errors import MeasurementFault
 from agent.execution.journal_reader import open_journal
@@ -43,8 +43,7 @@ def tried(state: Path, night: Night, **sections: Any) -> RunResult:
 
 def test_the_real_command_measures_one_ball_and_finds_a_late_latch(tmp_path: Path) -> None:
     late = tmp_path / "late.toml"
-    text = SCENARIO.read_text().replace('"../', f'"{SCENARIO.parent.parent}/')
-    late.write_text(text.replace("[trigger]", "[trigger]\nlatch_delay_ms = 2.0"))
+    late.write_text(scenario_text().replace("[trigger]", "[trigger]\nlatch_delay_ms = 2.0"))
     with simulated(late) as (_, ready):
         config = configured(ready, tmp_path)
         done, told = (called("try", "--config", str(config), *more) for more in (["--json"], []))
