@@ -63,8 +63,10 @@ class EstimationResult:
     thermometer: ThermometerFacts
 
     def reference(self, artefact: Artefact) -> ReferenceArtefact:
-        """Return the artefact with whose balls the table is proved, for the `artefact` of the artefact file."""
+        """Return the artefact with whose balls the table is proved, for the `artefact` of the artefact file. Its sag is
+        the estimated one."""
         estimate = self.estimate
+        artefact = replace(artefact, sag_mm=artefact.sag_mm + estimate.found_sag_mm)
         return ReferenceArtefact.of(artefact, estimate.unknowns, estimate.z, estimate.z_covariance)
 
     def with_numbers(self, numbers: Sequence[int]) -> EstimationResult:
@@ -90,6 +92,7 @@ class EstimationResult:
             "chi2_normalised": estimate.chi2_normalised,
             "step_in_run": step_document(estimate.step),
             "shift_pattern": pattern_document(estimate.pattern),
+            "ball_shifts": [asdict(shift) for shift in estimate.shifts],
             "common_scale": common_scale_document(estimate.common_scale),
             "rejected": [list(row) for row in estimate.rejected],
         }
@@ -98,7 +101,9 @@ class EstimationResult:
 NO_ESTIMATION: dict[str, object] = {
     **dict.fromkeys(("rank", "parameters", "estimated_ve_um", "estimated_ve_limits_um")),
     **dict.fromkeys(("predicted_vce_um", "predicted_vce_limits_um", "thermometer", "travel")),
-    **dict.fromkeys(("artefact_calibration", "chi2_normalised", "step_in_run", "shift_pattern", "common_scale")),
+    **dict.fromkeys(("artefact_calibration", "chi2_normalised", "step_in_run", "shift_pattern")),
+    "ball_shifts": [],
+    "common_scale": None,
     "rejected": [],
 }
 """JSON object of an estimation that was not made."""

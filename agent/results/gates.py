@@ -20,7 +20,15 @@ from drivers.errors import InputError
 from drivers.roles import StoreLimits
 from twin.artefact.effect_test import REQUIRED_POWER
 from twin.compensation.table import CompensationTable
-from twin.identification import OUTSIDE_FAMILY, BallCheck, CommonScale, Estimate, PatternTest, StepInRun
+from twin.identification import (
+    OUTSIDE_FAMILY,
+    BallCheck,
+    CommonScale,
+    Estimate,
+    EstimatedShift,
+    PatternTest,
+    StepInRun,
+)
 from twin.units import UM_PER_MM
 
 CHANGE = "change"
@@ -142,7 +150,7 @@ def estimate_gates(estimate: Estimate, limits: GateSettings) -> tuple[Gate, ...]
         redundancy_gate(estimate.degrees_of_freedom, limits),
         certificate_gate(estimate.certificate_check, limits),
         step_gate(estimate.step, limits),
-        pattern_gate(estimate.pattern, limits),
+        pattern_gate(estimate.pattern, limits, estimate.shifts),
         common_scale_gate(estimate.common_scale, limits),
     )
 
@@ -228,13 +236,16 @@ def step_gate(step: StepInRun | None, limits: GateSettings) -> Gate:
     return _gate_of_test(STEP, step, limits.step_false_alarm, untested, clear, alarm)
 
 
-def pattern_gate(pattern: PatternTest | None, limits: GateSettings) -> Gate:
+def pattern_gate(pattern: PatternTest | None, limits: GateSettings, estimated: Sequence[EstimatedShift] = ()) -> Gate:
     """Return the gate (limit) for shifts of the balls that follow a pattern over all positions: the probability of such
-    measurements, at most, without a pattern. The text names the likeliest causes.
+    measurements, at most, without a pattern. The text names the likeliest causes, and the shifts that were
+    `estimated` with the errors of the machine.
 
     `pattern` is None if the measurements were not tested for a pattern.
     """
     clear = "probability of such measurements, at most, if no shift follows a pattern over all positions"
+    if estimated:
+        clear = f"{clear}; taken into account: {', '.join(shift.text for shift in estimated)}"
     untested = "the balls were not tested for a pattern of shifts"
     return _gate_of_test(PATTERN, pattern, limits.pattern_false_alarm, untested, clear)
 

@@ -258,7 +258,7 @@ def _after_earlier_night(
         check_shape(seen, artefact)
         night = compare_with_nights_before(
             family,
-            seen.select(accepted_rows(family, seen, artefact, options)),
+            seen.select(accepted_rows(family, seen, artefact, options).mask),
             artefact,
             known,
             noise,

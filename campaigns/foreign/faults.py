@@ -82,6 +82,23 @@ def play_by_side(machine: ForeignMachine, bar: ForeignBar, places: Places, seed:
     return Measurement(shifted(seen, axis, seen.axis_positions[:, axis] > middle), machine)
 
 
+def lag(
+    machine: ForeignMachine, bar: ForeignBar, places: Places, seed: int, *, axis: int, lost_mm: float = 0.01
+) -> Measurement:
+    """Let an axis have lost motion."""
+    seen = measure_at(machine, bar, places, np.random.default_rng(seed)).seen
+    return Measurement(shifted_by_direction(seen, axis, lost_mm), machine)
+
+
+def shifted_by_direction(seen: Observations, axis: int, lost_mm: float) -> Observations:
+    """Return the observations of an axis that lags behind its display by half of its lost motion in the direction in
+    which it moved last, also from one position to the next."""
+    displayed = seen.axis_positions.copy()
+    moved = np.diff(displayed[:, axis], prepend=displayed[0, axis] - 1.0)
+    displayed[:, axis] += 0.5 * lost_mm * np.sign(moved)
+    return replace(seen, axis_positions=displayed)
+
+
 def shifted(seen: Observations, axis: int, rows: np.ndarray) -> Observations:
     """Return the observations with 10 µm more on the display of an axis in the rows of the mask `rows` (n,)."""
     displayed = seen.axis_positions.copy()
@@ -134,6 +151,9 @@ FAULTS: Mapping[str, Fault] = {
     "play-z": partial(play, axis=2, ball=6),
     "side-x": partial(play_by_side, axis=0),
     "side-y": partial(play_by_side, axis=1),
+    "lag-x": partial(lag, axis=0),
+    "lag-y": partial(lag, axis=1),
+    "lag-z": partial(lag, axis=2),
     "sag-20": partial(sag, ends_mm=0.02),
     "thermometer-0.5": partial(misread, error_k=0.5),
     "thermometer-1": partial(misread, error_k=1.0),

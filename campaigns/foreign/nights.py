@@ -215,7 +215,7 @@ def fused_nights(
     scores = []
     for number, night in enumerate(nights, start=1):
         artefact, seen = night.bar.artefact, night.seen
-        accepted = seen.select(accepted_rows(FAMILY, seen, artefact, Options()))
+        accepted = seen.select(accepted_rows(FAMILY, seen, artefact, Options()).mask)
         fit = compare_with_nights_before(FAMILY, accepted, artefact, estimate.carried_over(), noise)
         estimate = identify(FAMILY.model, seen, artefact, FAMILY, Options(carried_over=fit.prior))
         true_um, forms = true_error_um(night.machine, estimate), field_forms(estimate, GRID, TOOL)

@@ -39,7 +39,7 @@ def slipped(seen: Observations, position: int, ball: int, size_um: float, seed: 
 
 
 def accepted(seen: Observations, bar: ForeignBar) -> np.ndarray:
-    return accepted_rows(family_of(ORDER), seen, bar.artefact, Options())
+    return accepted_rows(family_of(ORDER), seen, bar.artefact, Options()).mask
 
 
 @pytest.mark.parametrize("bar", sorted(BARS))

@@ -20,6 +20,7 @@ from twin.immutable import Immutable
 from twin.units import REFERENCE_TEMPERATURE_C
 
 STEEL_CTE_PER_K = 11.5e-6
+_SMALLEST_SAG_MM = 0.002  # a short bar bends by its clamping rather than by its weight
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +29,8 @@ class Artefact(Immutable):
 
     - `balls` (N, 3) contains the ball centres in mm at the reference temperature, without gravity sag.
     - `covariance` (3N, 3N) is the covariance of the centres in mm², ordered ball by ball as x, y, z.
-    - `sag_mm` is the distance by which the ends of a horizontal bar hang below its middle.
+    - `sag_mm` is the distance by which the ends of a horizontal bar hang below its middle, with its standard
+      uncertainty `sag_standard_uncertainty_mm` (0: exact).
     - `members` gives for each ball the number of its artefact if several artefacts are combined in one estimate. It is
       empty for a single artefact.
     - `uncertified` contains the numbers of the balls whose centres are nominal values without a certificate. Their
@@ -48,6 +50,7 @@ class Artefact(Immutable):
     sag_mm: float = 0.0
     members: tuple[int, ...] = ()
     uncertified: tuple[int, ...] = ()
+    sag_standard_uncertainty_mm: float = 0.0
     body: ArtefactBody = field(default_factory=ArtefactBody)
 
     def __post_init__(self) -> None:
@@ -105,6 +108,18 @@ class Artefact(Immutable):
         balls = float(np.linalg.norm(self.balls, axis=1).max()) + self.ball_radius_mm
         rods = [math.hypot(*end) + rod.radius_mm for rod in self.rods for end in (rod.start_mm, rod.end_mm)]
         return max(balls, *rods)
+
+    @property
+    def is_single_bar(self) -> bool:
+        """True for one bar that is held in its middle, so that its ends hang down."""
+        return self.body.beam is not None and not self.members
+
+    @property
+    def expected_sag_mm(self) -> float:
+        """Size in mm of the sag that a bar may have if nothing states it: that of its beam under its own weight, but at
+        least 2 µm. It is 0 without a beam."""
+        beam = self.body.beam
+        return 0.0 if beam is None else max(beam.own_sag_mm(self.half_length_mm), _SMALLEST_SAG_MM)
 
     @property
     def droop_mm(self) -> Array:

@@ -17,6 +17,8 @@ from twin.errors import DataError
 
 Vector = tuple[float, float, float]
 
+# weight over stiffness ρ g / E in 1/mm: 1600 kg/m³, 9.81 m/s², 120 GPa
+_CARBON_FIBRE_PER_MM = 1600e-9 * 9.81 / 120e3
 _RESERVED_NAMES = ("tip", "stem", "ram", "table", "shaft", "pedestal", "ball", "post")
 
 
@@ -55,6 +57,11 @@ class Beam:
 
     radius_mm: float = 15.0
     overhang_mm: float = 15.0
+
+    def own_sag_mm(self, half_length_mm: float) -> float:
+        """Return the distance in mm by which the ends of a horizontal tube of carbon fibre hang below its clamped
+        middle under its own weight: two cantilevers of the length L with the radius r, ρ g L⁴ / (4 E r²)."""
+        return _CARBON_FIBRE_PER_MM * half_length_mm**4 / (4.0 * self.radius_mm**2)
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ KIND_FIELDS = (
     "cte_standard_uncertainty_per_k",
     "holder_length_mm",
     "sag_mm",
+    "sag_standard_uncertainty_mm",
 )
 
 

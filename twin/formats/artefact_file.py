@@ -12,6 +12,7 @@ import io
 import json
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Annotated, Self
 
 import numpy as np
@@ -29,7 +30,7 @@ from twin.artefact.certificate import (
 )
 from twin.errors import DataError, FormatError
 from twin.formats.toml_reading import StrictModel, read_toml
-from twin.units import REFERENCE_TEMPERATURE_C, UM_PER_MM
+from twin.units import MM_PER_UM, REFERENCE_TEMPERATURE_C, UM_PER_MM
 
 ReadText = Callable[[str], str]
 """Function that takes a file name as written in another file, resolves it relative to that file, and returns the text
@@ -133,7 +134,8 @@ class ArtefactDocument(StrictModel):
     standard_uncertainty_um: Annotated[float, Field(ge=0.0)] | None = None
     covariance_file: str | None = None
     holder_length_mm: Annotated[float, Field(ge=0.0)] | None = None
-    sag_um: Annotated[float, Field(ge=0.0)] = 0.0
+    sag_um: Annotated[float, Field(ge=0.0)] | None = None
+    sag_standard_uncertainty_um: Annotated[float, Field(ge=0.0)] | None = None
     length_standard_uncertainty_ppm: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
     uncertified_balls: tuple[int, ...] = ()
     end_length_mm: Annotated[float, Field(gt=0.0)] | None = None
@@ -157,8 +159,13 @@ class ArtefactDocument(StrictModel):
                 "the [holders] have stated feet, so the part that carries them must be stated too: [[bodies]], or "
                 "[beam] for a bar along X; 'bodies = []' if there is none"
             )
-        if self.sag_um and self.bodies is not None and self.beam is None:
-            raise ValueError("'sag_um' describes a bar that is held in its middle; remove it or give [beam]")
+        if self.bodies is not None and self.beam is None:
+            for key, value in (
+                ("sag_um", self.sag_um),
+                ("sag_standard_uncertainty_um", self.sag_standard_uncertainty_um),
+            ):
+                if value:
+                    raise ValueError(f"'{key}' describes a bar that is held in its middle; remove it or give [beam]")
         return self
 
 
@@ -175,7 +182,7 @@ def parse_artefact(text: str, source: str, read_text: ReadText | None = None) ->
     try:
         lengths = _measured_lengths(document, balls, source)
         balls, covariance = _with_additions(document, balls, covariance, lengths, source)
-        return Artefact(
+        artefact = Artefact(
             name=document.name,
             certificate=_certificate(document, [length for _, length in lengths]),
             balls=balls,
@@ -185,12 +192,21 @@ def parse_artefact(text: str, source: str, read_text: ReadText | None = None) ->
             cte_standard_uncertainty_per_k=document.cte_standard_uncertainty_per_k,
             covariance=covariance,
             holder_length_mm=holder,
-            sag_mm=document.sag_um * 1e-3,
+            sag_mm=MM_PER_UM * (document.sag_um or 0.0),
             uncertified=tuple(sorted(set(document.uncertified_balls))),
             body=_body(document, balls),
         )
+        return replace(artefact, sag_standard_uncertainty_mm=_sag_doubt_mm(document, artefact))
     except DataError as error:
         raise error.at(file=source) from None
+
+
+def _sag_doubt_mm(document: ArtefactDocument, artefact: Artefact) -> float:
+    """Return the standard uncertainty in mm of the sag. A stated sag is exact unless the file says otherwise, and one
+    that is not stated may be as large as that of a beam of this shape."""
+    if document.sag_standard_uncertainty_um is not None:
+        return MM_PER_UM * document.sag_standard_uncertainty_um
+    return artefact.expected_sag_mm if document.sag_um is None else 0.0
 
 
 def _body(document: ArtefactDocument, balls: Array) -> ArtefactBody:
@@ -222,6 +238,7 @@ def format_artefact(artefact: Artefact, covariance_file: str, notes: Sequence[st
         "ball_diameter_mm": repr(float(artefact.ball_diameter_mm)),
         "holder_length_mm": repr(float(artefact.holder_length_mm)),
         "sag_um": repr(float(UM_PER_MM * artefact.sag_mm)),
+        "sag_standard_uncertainty_um": repr(float(UM_PER_MM * artefact.sag_standard_uncertainty_mm)),
         "uncertified_balls": repr(list(artefact.uncertified)),
         "covariance_file": json.dumps(covariance_file),
         "balls": f"[\n{rows},\n]",

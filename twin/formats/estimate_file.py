@@ -185,6 +185,15 @@ class PatternSection(StrictModel):
     suspects: tuple[ShiftPatternSection, ...]
 
 
+class BallShiftSection(StrictModel):
+    """Shift of the balls in an estimate file that was estimated with the errors of the machine: the name of its unknown
+    (`lost motion X`, `sag`), its size and the standard uncertainty of the size."""
+
+    name: str
+    size_um: float
+    standard_uncertainty_um: float = Field(ge=0.0)
+
+
 class CommonScaleSection(StrictModel):
     """Result of the test of the scale that all axes have in common, in an estimate file. `false_alarm` is the largest
     probability of such a scale if the family of the machine and the stated uncertainties of the artefact are right.
@@ -242,6 +251,7 @@ class EstimateFile(StrictModel):
     certificate: tuple[CertificateSection, ...]
     step_in_run: StepSection | None = None
     shift_pattern: PatternSection | None = None
+    ball_shifts: tuple[BallShiftSection, ...] = ()
     common_scale: CommonScaleSection | None = None
     artefact_calibration: dict[str, Any] | None
     volumetric: VolumetricSection | None
@@ -327,6 +337,7 @@ def format_estimate(
         "certificate": certificate_document(estimate.certificate_check),
         "step_in_run": step_document(estimate.step),
         "shift_pattern": pattern_document(estimate.pattern),
+        "ball_shifts": [asdict(shift) for shift in estimate.shifts],
         "common_scale": common_scale_document(estimate.common_scale),
         "artefact_calibration": calibration_document(estimate.artefact_calibration),
         "volumetric": None if volumetric is None else volumetric.model_dump(),

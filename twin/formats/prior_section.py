@@ -19,7 +19,7 @@ from twin.formats.toml_reading import StrictModel
 from twin.identification.drift_trend import DriftTrend
 from twin.identification.misfit import MISFIT_KINDS, MisfitModes
 from twin.identification.prior_from_estimate import DriftFactor
-from twin.identification.unknowns import ArtefactErrors, Unknowns
+from twin.identification.unknowns import ArtefactErrors, Sag, Unknowns
 from twin.machine.error_model import ErrorModel
 
 Row = tuple[float, ...]
@@ -42,6 +42,8 @@ class ArtefactSection(StrictModel):
     cte_standard_uncertainty_per_k: float
     thermometer_standard_uncertainty_k: float
     uncertified_balls: tuple[int, ...] = ()
+    sag_mm: float = Field(default=0.0, ge=0.0)
+    sag_standard_uncertainty_mm: float = Field(default=0.0, ge=0.0)
 
 
 class MisfitSection(StrictModel):
@@ -101,6 +103,8 @@ def carried_over_document(
             "cte_standard_uncertainty_per_k": errors.cte_standard_uncertainty_per_k,
             "thermometer_standard_uncertainty_k": errors.thermometer_standard_uncertainty_k,
             "uncertified_balls": list(errors.uncertified),
+            "sag_mm": errors.sag.stated_mm,
+            "sag_standard_uncertainty_mm": errors.sag.standard_uncertainty_mm,
         },
         "misfit": None if unknowns.modes is None else _misfit_document(unknowns.modes, unknowns.misfit_mm),
         "mean": mean.tolist(),
@@ -137,6 +141,7 @@ def read_unknowns(section: CarriedOverSection, model: ErrorModel, source: str) -
         cte_standard_uncertainty_per_k=artefact.cte_standard_uncertainty_per_k,
         thermometer_standard_uncertainty_k=artefact.thermometer_standard_uncertainty_k,
         uncertified=artefact.uncertified_balls,
+        sag=Sag(artefact.sag_mm, artefact.sag_standard_uncertainty_mm),
     )
     scale = _array(section.scale, (model.size,), source, "scale")
     modes = None if misfit is None else _modes(misfit, model, source)

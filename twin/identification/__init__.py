@@ -2,7 +2,7 @@
 
 from twin.identification.checks.certificate_check import BallCheck
 from twin.identification.checks.common_scale import CommonScale
-from twin.identification.checks.shift_pattern import PatternTest
+from twin.identification.checks.shift_pattern import EstimatedShift, PatternTest
 from twin.identification.checks.step_in_run import StepInRun
 from twin.identification.estimate import Estimate, Misfit
 from twin.identification.evidence import OrderEvidence
@@ -29,6 +29,7 @@ __all__ = [
     "CommonScale",
     "DriftFactor",
     "Estimate",
+    "EstimatedShift",
     "FieldKnowledge",
     "Misfit",
     "NullDirection",

@@ -13,7 +13,7 @@ from twin.artefact.artefact_calibration import ArtefactCalibration
 from twin.identification.alternatives import Alternative
 from twin.identification.checks.certificate_check import BallCheck, check_certificate
 from twin.identification.checks.common_scale import CommonScale
-from twin.identification.checks.shift_pattern import PatternTest
+from twin.identification.checks.shift_pattern import SAG, EstimatedShift, PatternTest
 from twin.identification.checks.step_in_run import StepInRun
 from twin.identification.drift_trend import DriftTrend
 from twin.identification.evidence import OrderEvidence, scales_at_bounds
@@ -25,6 +25,7 @@ from twin.identification.scales import Scales
 from twin.identification.unknowns import Unknowns
 from twin.machine.error_model import ErrorModel
 from twin.thermal.machine_drift import DriftEstimate
+from twin.units import MM_PER_UM
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +71,9 @@ class Estimate:
     certified centres contradict the measurements; the estimate does not use these centres. `step` is the result of the
     test for a sudden change of the machine during the measurement; it is None if the measurements were used unchecked.
     `pattern` is the result of the test for shifts that follow a pattern over all positions; None likewise.
-    `common_scale` is the result of the test of the scale that all axes have in common; None likewise, or if an estimate
-    was carried over.
+    `shifts` are the shifts of the balls, such as lost motion of an axis, that were estimated with the errors of the
+    machine because the measurements show them. `common_scale` is the result of the test of the scale that all axes have
+    in common; None likewise, or if an estimate was carried over.
     """
 
     model: ErrorModel
@@ -97,6 +99,7 @@ class Estimate:
     free_balls: tuple[int, ...] = ()
     step: StepInRun | None = None
     pattern: PatternTest | None = None
+    shifts: tuple[EstimatedShift, ...] = ()
     common_scale: CommonScale | None = None
 
     def carried_over(self, process_noise: ArrayLike | None = None, nights: float = 1.0) -> CarriedOverPrior:
@@ -126,6 +129,11 @@ class Estimate:
     def artefact_calibration(self) -> ArtefactCalibration | None:
         """Ball centres of the artefact as estimated from the measurements; None if they were not estimated."""
         return self.unknowns.artefact_calibration(self.z, self.z_covariance)
+
+    @property
+    def found_sag_mm(self) -> float:
+        """Distance in mm by which the ends of a bar were found to hang lower than stated; 0 if it was not estimated."""
+        return sum(MM_PER_UM * shift.size_um for shift in self.shifts if shift.name == SAG)
 
     @property
     def prior_scale(self) -> Array:

@@ -16,7 +16,13 @@ from twin.identification.alternatives import Alternative
 from twin.identification.checks.common_scale import CommonScale, common_scale
 from twin.identification.checks.mirrored_artefact import refuse_mirrored
 from twin.identification.checks.outliers import Rows, WhitenedResiduals, contradicting_rows, studentised_residuals
-from twin.identification.checks.shift_pattern import PatternTest, shift_patterns
+from twin.identification.checks.shift_pattern import (
+    EstimatedShift,
+    PatternTest,
+    estimated_shifts,
+    shift_patterns,
+    with_ball_shifts,
+)
 from twin.identification.checks.slipped_position import Slip, slip_in
 from twin.identification.checks.step_in_run import StepInRun, evidence_of_step, step_in_run
 from twin.identification.checks.wrong_balls import WrongBallSearch, is_isolated, with_free_balls
@@ -46,18 +52,38 @@ Mask = np.ndarray[Any, np.dtype[np.bool_]]
 
 
 @dataclass(frozen=True, eq=False)
-class _RowSelection:
-    """Accepted rows of the whole problem, and the solution from these rows if it has already been computed.
+class AcceptedRows:
+    """Result of a search for wrong measurements. `mask` (n,) marks the ball centres that are no outliers. The certified
+    centres of the balls `free` contradict the measurements and are left free. `shifts` contains the names of the shifts
+    of the balls (module `twin.identification.checks.shift_pattern`) that are further unknowns."""
 
-    The certified centres of the balls `free` contradict the measurements and are left free. `contradicted` is True if
-    any ball contradicted its certificate in the search for outliers, even if it is no longer free.
+    mask: Mask
+    free: tuple[int, ...] = ()
+    shifts: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class _RowSelection:
+    """Accepted rows of the problem `whole`, and the problem that consists of these rows.
+
+    `screened` is the solution of `problem` with which the measurements were checked, with its `residuals`. Both are
+    None if the rows were not checked. The certified centres of the balls `free` contradict the measurements and are
+    left free. `contradicted` is True if any ball contradicted its certificate in the search for outliers, even if it is
+    no longer free.
     """
 
+    whole: IdentificationProblem
     problem: IdentificationProblem
     accepted: Mask
-    solution: Solution | None
+    screened: Solution | None = None
+    residuals: WhitenedResiduals | None = None
     free: tuple[int, ...] = ()
     contradicted: bool = False
+
+    @property
+    def measured(self) -> Rows:
+        """Place of each accepted row in the order of measuring."""
+        return np.asarray(self.whole.layout.order[self.accepted])
 
 
 def identify(
@@ -80,41 +106,30 @@ def identify(
         raise DataError("the family belongs to another model", hint="use the family of the same machine file")
     _check_set(observations)
     whole = build_measured_problem(family, observations, artefact, options)
-    return _estimate(whole, _select_rows(whole, family, artefact, options), options)
+    return _estimate(_select_rows(whole, family, artefact, options), options)
 
 
-def accepted_rows(family: Family, observations: Observations, artefact: Artefact, options: Options) -> Mask:
-    """Return a mask (n,) that is True for each ball centre that `identify` would accept, and False for each outlier
-    that it would reject."""
-    return accepted_rows_and_free_balls(family, observations, artefact, options)[0]
-
-
-def accepted_rows_and_free_balls(
-    family: Family, observations: Observations, artefact: Artefact, options: Options
-) -> tuple[Mask, tuple[int, ...]]:
-    """Return the mask of `accepted_rows`, and the balls whose certified centres `identify` would leave free."""
+def accepted_rows(family: Family, observations: Observations, artefact: Artefact, options: Options) -> AcceptedRows:
+    """Return the ball centres that `identify` would accept, the balls whose certified centres it would leave free, and
+    the shifts that it would estimate."""
     _check_set(observations)
     whole = build_measured_problem(family, observations, artefact, options)
     accepted = np.empty(observations.size, dtype=bool)
     selection = _select_rows(whole, family, artefact, options)
     accepted[whole.layout.order] = selection.accepted
-    return accepted, selection.free
+    return AcceptedRows(accepted, selection.free, _names(selection.whole))
 
 
 def identify_accepted(
-    family: Family,
-    observations: Observations,
-    artefact: Artefact,
-    options: Options,
-    accepted: Mask,
-    free: tuple[int, ...],
+    family: Family, observations: Observations, artefact: Artefact, options: Options, accepted: AcceptedRows
 ) -> Estimate:
-    """Identify with exactly the rows that the mask `accepted` (n,) marks. All other rows count as rejected. The
-    certified centres of the balls `free` are left free."""
+    """Identify with exactly the rows, the free balls and the shifts of `accepted`. All other rows count as rejected."""
     whole = build_measured_problem(family, observations, artefact, options)
-    chosen = accepted[whole.layout.order]
+    whole = with_ball_shifts(whole, accepted.shifts, whole.layout.order)
+    chosen = accepted.mask[whole.layout.order]
     problem = whole if chosen.all() else restrict_measured_problem(whole, chosen, options)
-    return _estimate(whole, _RowSelection(with_free_balls(problem, free, options), chosen, None, free), options)
+    problem = with_free_balls(problem, accepted.free, options)
+    return _estimate(_RowSelection(whole, problem, chosen, free=accepted.free), options)
 
 
 def _check_set(observations: Observations) -> None:
@@ -137,12 +152,30 @@ def _check_set(observations: Observations) -> None:
 
 def _select_rows(whole: IdentificationProblem, family: Family, artefact: Artefact, options: Options) -> _RowSelection:
     if options.outliers == "none":
-        return _RowSelection(whole, np.ones(whole.observations.size, dtype=bool), None)
+        return _RowSelection(whole, whole, np.ones(whole.observations.size, dtype=bool))
     selection = _without_outliers(whole, options)
+    while name := _shift_to_estimate(selection, options):
+        whole = with_ball_shifts(whole, [name], whole.layout.order)
+        selection = _without_outliers(whole, options)
     if selection.contradicted:
         seen = whole.observations.select(selection.accepted)
         refuse_mirrored(selection.problem, selection.free, family, seen, artefact, _screening(options))
     return selection
+
+
+def _shift_to_estimate(selection: _RowSelection, options: Options) -> str:
+    """Return the name of a shift that explains the measurements but is no unknown yet; empty if there is none."""
+    solution, residuals = selection.screened, selection.residuals
+    if solution is None or residuals is None or _is_strange(solution):
+        return ""
+    pattern = shift_patterns(solution.equations.problem, residuals, selection.measured)
+    if pattern.false_alarm >= options.false_alarm or pattern.unknown in _names(selection.whole):
+        return ""
+    return pattern.unknown
+
+
+def _names(problem: IdentificationProblem) -> tuple[str, ...]:
+    return tuple(shift.name for shift in problem.unknowns.shifts)
 
 
 def _without_outliers(whole: IdentificationProblem, options: Options) -> _RowSelection:
@@ -169,10 +202,8 @@ def _without_outliers(whole: IdentificationProblem, options: Options) -> _RowSel
             _check_plausible(solution)
             if search.bind_again(problem, solution):
                 continue
-            free = search.free
-            same = options.formulation == "centres" and options.weights == "full" and options.use_prior
-            contradicted = search.contradicted_in(solution)
-            return _RowSelection(solution.equations.problem, accepted, solution if same else None, free, contradicted)
+            problem, contradicted = solution.equations.problem, search.contradicted_in(solution)
+            return _RowSelection(whole, problem, accepted, solution, residuals, search.free, contradicted)
         if slip is not None and slip.size_mm > _SLIP_ABOVE_MISFIT * _unresolved_rms_mm(whole, solution):
             _report_slip(whole, accepted, slip)
         accepted = accepted.copy()
@@ -248,9 +279,13 @@ def _check_rejected_share(accepted: Mask) -> None:
         )
 
 
-def _estimate(whole: IdentificationProblem, selection: _RowSelection, options: Options) -> Estimate:
-    likeliest = selection.solution or solve(selection.problem, options, options.formulation)
-    findings = _findings(whole, selection, likeliest, options)
+def _estimate(selection: _RowSelection, options: Options) -> Estimate:
+    whole, screened = selection.whole, selection.screened
+    if screened is None or options != _screening(options):
+        likeliest = solve(selection.problem, options, options.formulation)
+    else:
+        likeliest = screened
+    findings = _findings(selection, likeliest, options)
     solution = average_over_scales(likeliest)
     block, unknowns = whole.blocks.parameters, whole.unknowns
     state = _state(whole, options)
@@ -271,7 +306,7 @@ def _estimate(whole: IdentificationProblem, selection: _RowSelection, options: O
         tool_offsets=seen.used_tool_offsets,
         misfit=_misfit(whole, solution, z, covariance),
         information=solution.equations.matrix[block, block],
-        unknowns=replace(unknowns, drift=None),
+        unknowns=replace(unknowns, drift=None, shifts=()),
         z=z,
         z_covariance=covariance,
         alternatives=tuple(
@@ -283,6 +318,7 @@ def _estimate(whole: IdentificationProblem, selection: _RowSelection, options: O
         free_balls=() if options.weights == "unit" else selection.free,
         step=findings.step,
         pattern=findings.pattern,
+        shifts=findings.shifts,
         common_scale=findings.common_scale,
     )
 
@@ -299,45 +335,52 @@ class _Findings:
     step: StepInRun | None = None
     pattern: PatternTest | None = None
     common_scale: CommonScale | None = None
+    shifts: tuple[EstimatedShift, ...] = ()
 
 
-def _findings(
-    whole: IdentificationProblem, selection: _RowSelection, solution: Solution, options: Options
-) -> _Findings:
+def _findings(selection: _RowSelection, solution: Solution, options: Options) -> _Findings:
     """Test the set for a sudden change of the machine and for a pattern of shifts, and the common scale of the axes
     against the family. An estimate that is carried over contains its own common scale, so there is none to test."""
     if options.outliers == "none":
-        return _Findings()
+        return _Findings(shifts=estimated_shifts(solution))
     screening = _screening(options)
-    if screening != options:
+    if selection.screened is not None:
+        solution = selection.screened
+    elif screening != options:
         solution = solve(selection.problem, screening, screening.formulation)
     scale = common_scale(solution) if options.carried_over is None else None
-    if solution.scales.of_machine >= OUTSIDE_FAMILY and solution.scales.noise > _NOISY:
-        # Errors of the machine between the balls are not independent, as the tests assume: they would be taken for a
-        # change or a pattern.
-        return _Findings(common_scale=scale)
-    seen, measured = whole.observations, whole.layout.order[selection.accepted]
-    residuals = studentised_residuals(solution)
+    shifts = estimated_shifts(solution)
+    if _is_strange(solution):
+        return _Findings(common_scale=scale, shifts=shifts)
+    seen, measured = selection.whole.observations, selection.measured
+    residuals = selection.residuals or studentised_residuals(solution)
     tool_offset = seen.tool_offsets[np.bincount(seen.tool).argmax()]
     return _Findings(
         step_in_run(solution, residuals, measured, tool_offset),
         shift_patterns(solution.equations.problem, residuals, measured),
         scale,
+        shifts,
     )
+
+
+def _is_strange(solution: Solution) -> bool:
+    """Return True for a machine far outside its family whose errors between the balls are not independent, as the tests
+    of the whole set assume: they would be taken for a change or a pattern."""
+    return solution.scales.of_machine >= OUTSIDE_FAMILY and solution.scales.noise > _NOISY
 
 
 def _state(whole: IdentificationProblem, options: Options) -> Array | None:
     """Return the matrix (Q, P) that converts the unknowns at the start to the unknowns in the state that the estimate
-    describes. Return None if drift is not estimated.
+    describes. Return None if neither drift nor shifts of the balls are estimated.
 
-    The P unknowns at the start include the drift. The Q unknowns of the result do not include the drift.
+    The P unknowns at the start include the drift and the shifts. The Q unknowns of the result do not include them.
     """
     drift, blocks, scale = whole.unknowns.drift, whole.blocks, whole.unknowns.scale
-    if drift is None:
+    if blocks.drift.start == blocks.size:
         return None
     # parameters in the state = parameters at the start + drift until then, in units of the prior
     state = np.eye(blocks.drift.start, blocks.size)
-    if options.state_regressors is not None:
+    if drift is not None and options.state_regressors is not None:
         indices = list(drift.parameter_indices)
         state[indices, blocks.drift] = (
             drift.change_matrix(options.state_regressors)[: len(indices)] / scale[indices][:, None]

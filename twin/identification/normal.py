@@ -58,6 +58,13 @@ class JointPrior:
         full[blocks.parameters, blocks.parameters] = precision
         return cls(members, full, np.zeros(blocks.size))
 
+    def extended(self, count: int) -> JointPrior:
+        """Return the prior of a vector z that has `count` further unknowns at its end, which are no members."""
+        more = (0, count)
+        return JointPrior(
+            np.pad(self.members, more), np.pad(self.precision, (more, more)), np.pad(self.information_vector, more)
+        )
+
     def in_principal_axes(self) -> tuple[JointPrior, Array]:
         """Return the same prior for its m members in principal axes, in which the precision is diagonal, and these axes
         as the columns of a rotation (m, m)."""

@@ -20,10 +20,11 @@ from dataclasses import replace
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.errors import DataError
+from twin.identification.checks.shift_pattern import with_ball_shifts
 from twin.identification.checks.wrong_balls import with_free_balls
 from twin.identification.estimate import Estimate
 from twin.identification.evidence import OrderEvidence
-from twin.identification.identify import accepted_rows_and_free_balls, identify_accepted
+from twin.identification.identify import accepted_rows, identify_accepted
 from twin.identification.options import Options
 from twin.identification.roll import build_measured_problem
 from twin.identification.scales import Scales
@@ -55,18 +56,19 @@ def identify_by_evidence(
     if not candidates:
         raise DataError("there is no order to compare")
     judged = replace(options, formulation="centres", weights="full")
-    accepted, free = accepted_rows_and_free_balls(family_of(max(candidates)), observations, artefact, judged)
-    seen = observations.select(accepted)
-    evidence = {
-        order: log_evidence_and_scales(
-            with_free_balls(build_measured_problem(family_of(order), seen, artefact, judged), free, judged), judged
-        )
-        for order in sorted(candidates)
-    }
+    accepted = accepted_rows(family_of(max(candidates)), observations, artefact, judged)
+    seen = observations.select(accepted.mask)
+
+    def evidence_of(order: int) -> tuple[float, Scales]:
+        problem = build_measured_problem(family_of(order), seen, artefact, judged)
+        problem = with_ball_shifts(problem, accepted.shifts, problem.layout.order)
+        return log_evidence_and_scales(with_free_balls(problem, accepted.free, judged), judged)
+
+    evidence = {order: evidence_of(order) for order in sorted(candidates)}
     table = _compare(evidence)
     chosen = next(entry.order for entry in table if entry.chosen)
     return replace(
-        identify_accepted(family_of(chosen), observations, artefact, options, accepted, free),
+        identify_accepted(family_of(chosen), observations, artefact, options, accepted),
         order_evidence=table,
     )
 

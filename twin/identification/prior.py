@@ -14,7 +14,7 @@ from twin.artefact.observations import Observations
 from twin.errors import DataError
 from twin.identification.misfit import MisfitModes, misfit_modes
 from twin.identification.options import Options
-from twin.identification.unknowns import ArtefactErrors, Unknowns
+from twin.identification.unknowns import ArtefactErrors, Sag, Unknowns
 from twin.machine.machine_population import Family
 from twin.thermal.machine_drift import MachineDrift
 
@@ -44,7 +44,7 @@ def unknowns_of(family: Family, artefact: Artefact, seen: Observations, options:
         thermometer = options.temperature_standard_uncertainty_k
         if thermometer is None:
             thermometer = old.artefact.thermometer_standard_uncertainty_k
-        errors = replace(old.artefact, thermometer_standard_uncertainty_k=thermometer)
+        errors = replace(old.artefact, thermometer_standard_uncertainty_k=thermometer, sag=errors.sag)
     if old.modes is None and options.misfit_mm > 0.0:
         return Unknowns(old.model, old.scale, errors, _modes(family, seen), options.misfit_mm, drift, noise_mm2)
     return Unknowns(old.model, old.scale, errors, old.modes, old.misfit_mm, drift, noise_mm2)
@@ -80,6 +80,7 @@ def _artefact_errors(artefact: Artefact, options: Options) -> ArtefactErrors:
         cte_standard_uncertainty_per_k=artefact.cte_standard_uncertainty_per_k,
         thermometer_standard_uncertainty_k=options.temperature_standard_uncertainty_k or 0.0,
         uncertified=artefact.uncertified,
+        sag=Sag.of(artefact),
     )
 
 

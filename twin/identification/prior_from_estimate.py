@@ -211,6 +211,8 @@ def _shared(old: Unknowns, new: Unknowns) -> Iterator[tuple[slice, slice]]:
             if name in old.artefact.strain_names and (name != "thermometer" or _same_thermometer(old, new)):
                 at = before.strain.start + old.artefact.strain_names.index(name)
                 yield slice(at, at + 1), slice(now.strain.start + index, now.strain.start + index + 1)
+        if old.artefact.sag == new.artefact.sag:
+            yield before.sag, now.sag
     if old.modes is not None and old.modes is new.modes:
         yield before.misfit, now.misfit
 

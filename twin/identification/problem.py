@@ -3,17 +3,19 @@ deviation).
 
 Each row i is the measurement of one ball in a position k with the tool offset t. The equation of the row is
 
-    X_i + t + d(X_i; E) + misfit(X_i) + drift(X_i, i) = c_k + R_k (b_i(T) + δb_i + δs b_i) + noise
+    X_i + t + d(X_i; E) + misfit(X_i) + drift(X_i, i) + shift(i) = c_k + R_k (b_i(T) + δb_i + δs b_i) + noise
 
 where X_i is the axis position, d the deviation of the model, and b_i(T) the calibrated ball centre at temperature T.
 The pose of the position consists of the translation c_k and the rotation R_k. Every unknown except the poses is part of
 a vector z with a unit-normal prior. The vector contains the parameters E, the certificate errors δb, the thermal strain
-δs (uncertainty of the coefficient of thermal expansion and of the thermometer), the modes of the misfit
-and the drift of the machine. Rows are sorted by position.
+δs (uncertainty of the coefficient of thermal expansion and of the thermometer), the error of the stated sag, the modes
+of the misfit, the drift of the machine and, where measurements show them, shifts of the balls (lost motion of an axis).
+Rows are sorted by position.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -31,7 +33,7 @@ from twin.identification.poses import PoseArms, Poses, RowLayout, rigid_poses
 from twin.identification.prior import unknowns_of
 from twin.identification.prior_from_estimate import joint_prior_for
 from twin.identification.straight_lines import StraightLines
-from twin.identification.unknowns import ArtefactErrors, UnknownBlocks, Unknowns
+from twin.identification.unknowns import ArtefactErrors, BallShift, UnknownBlocks, Unknowns
 from twin.machine.forward_model import deviation_basis, exact_deviation
 from twin.machine.machine_population import Family
 
@@ -74,7 +76,8 @@ class IdentificationProblem:
 
     `local` (n, 3) in mm contains the nominal artefact points at the rows' temperature. `sag` (n, 3) in mm is their
     displacement by gravity in the workpiece frame, or None for a stiff artefact. `bending` (n, 3) is the displacement
-    by gravity for a sag of 1, or None for an artefact that is not a single bar. `design` (K,
+    by gravity for a sag of 1, or None for an artefact that is not a single bar, and `sag_size_mm` is the standard
+    deviation of an unstated sag. `design` (K,
     width, 3, P) is the derivative of left minus right side with respect to z, at `poses`, laid out by position. An
     empty slot repeats another row of its position.
     """
@@ -88,6 +91,7 @@ class IdentificationProblem:
     local: Array
     sag: Array | None
     bending: Array | None
+    sag_size_mm: float
     arms: PoseArms
     poses: Poses
     design: Array
@@ -104,8 +108,8 @@ class IdentificationProblem:
         contains the ball centres in the artefact's frame, because the poses of the artefact are applied later."""
         seen, blocks = self.observations, self.blocks
         left = self.touched + self.deviation(z)
-        if blocks.size > blocks.misfit.start:
-            left += self.change(_only(z, blocks.misfit, blocks.drift))
+        if blocks.size > blocks.sag.start:
+            left += self.change(_only(z, blocks.sag, blocks.misfit, blocks.drift, blocks.shifts))
         change = self.nuisance.displacement(seen.ball, z[blocks.certificate], z[blocks.strain])
         return left, self.local + change
 
@@ -118,7 +122,7 @@ class IdentificationProblem:
         """
         seen, blocks = self.observations, self.blocks
         left, local = sides
-        moved = self.change(_only(step, blocks.parameters, blocks.misfit, blocks.drift))
+        moved = self.change(_only(step, blocks.parameters, blocks.sag, blocks.misfit, blocks.drift, blocks.shifts))
         change = self.nuisance.displacement(seen.ball, step[blocks.certificate], step[blocks.strain])
         return left + moved, local + change
 
@@ -150,6 +154,20 @@ class IdentificationProblem:
         flat = design.reshape(-1, 3, blocks.size)
         _fill_artefact(flat, blocks, self.nuisance, layout.source, self.observations.ball[layout.source], rotation)
         return replace(self, poses=poses, design=design)
+
+    def with_shifts(self, shifts: Sequence[BallShift], fields: Array) -> IdentificationProblem:
+        """Return the problem with further unknowns: the sizes of the h `shifts`. `fields` (n, 3, h) contains the
+        change of the left side (actual tool points) in mm for shifts of 1 mm."""
+        sizes_mm = np.array([shift.size_mm for shift in shifts])
+        columns = _lay_out(self.layout, fields * sizes_mm)
+        unknowns = replace(self.unknowns, shifts=(*self.unknowns.shifts, *shifts))
+        return replace(
+            self,
+            unknowns=unknowns,
+            blocks=unknowns.blocks,
+            known=None if self.known is None else self.known.extended(len(shifts)),
+            design=np.concatenate((self.design, columns), axis=3),
+        )
 
     def with_rows(self, accepted: np.ndarray[Any, Any]) -> IdentificationProblem:
         """Return the problem restricted to the rows (measured balls) that the mask `accepted` (n,) marks."""
@@ -189,8 +207,7 @@ def build_problem(
     lines = StraightLines.of(artefact, np.split(seen.ball, np.cumsum(layout.counts)[:-1]))
     nominal, points = _mount_rotations(seen, layout), tool_points(seen)
     poses = rigid_poses(layout, local, points, lines, nominal)
-    is_bar = artefact.body.beam is not None and not artefact.members
-    bending = _bending(artefact, seen, layout, poses) if is_bar or artefact.sag_mm else None
+    bending = _bending(artefact, seen, layout, poses) if artefact.is_single_bar or artefact.sag_mm else None
     sag = artefact.sag_mm * bending if bending is not None and artefact.sag_mm else None
     if sag is not None:
         poses = rigid_poses(layout, local, points - sag, lines, nominal)
@@ -198,6 +215,9 @@ def build_problem(
     warmer_k = seen.temperature_c - artefact.reference_temperature_c
     nuisance = Nuisance(unknowns.artefact, unknowns.artefact.strain_rows(warmer_k), warmer_k)
     design = _design(unknowns, nuisance, seen, layout, poses)
+    if bending is not None and (doubt_mm := unknowns.artefact.sag.standard_uncertainty_mm):
+        # what hangs lower than stated is subtracted from the tool points
+        design[:, :, unknowns.blocks.sag] = -doubt_mm * bending[layout.source][:, :, None]
     return IdentificationProblem(
         unknowns=unknowns,
         known=None if options.carried_over is None else joint_prior_for(unknowns, options.carried_over),
@@ -208,6 +228,7 @@ def build_problem(
         local=local,
         sag=sag,
         bending=bending,
+        sag_size_mm=artefact.expected_sag_mm,
         arms=PoseArms.of(layout, local, lines),
         poses=poses,
         design=design.reshape(layout.positions, layout.width, 3, -1),

@@ -27,33 +27,61 @@ class UnknownBlocks:
     """Slices that select each kind of unknown from the vector z of all unknowns of an identification.
 
     The slice `misfit` is divided into the consecutive slices `kinds`, one for each kind of misfit. `drifting` is the
-    number of unknowns of the machine's drift, which form the last block.
+    number of unknowns of the machine's drift, and `shifting` that of the shifts of the balls. Both describe only this
+    measurement and form the last two blocks.
     """
 
     parameters: slice
     certificate: slice
     strain: slice
+    sag: slice
     misfit: slice
     kinds: tuple[slice, ...] = ()
     drifting: int = 0
+    shifting: int = 0
 
     @classmethod
     def of(
-        cls, parameters: int, certificate: int, strain: int, misfit: Sequence[int] = (), drift: int = 0
+        cls,
+        parameters: int,
+        certificate: int,
+        strain: int,
+        misfit: Sequence[int] = (),
+        drift: int = 0,
+        shifts: int = 0,
+        sag: int = 0,
     ) -> UnknownBlocks:
         """Return consecutive blocks of the given sizes (numbers of unknowns). `misfit` contains the block size of each
         kind of misfit."""
-        ends = np.cumsum([parameters, certificate, strain, *misfit]).tolist()
-        first, second, third, *kinds = (slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True))
-        return cls(first, second, third, slice(third.stop, ends[-1]), tuple(kinds), drift)
+        ends = np.cumsum([parameters, certificate, strain, sag, *misfit]).tolist()
+        parts = (slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True))
+        first, second, third, fourth, *kinds = parts
+        return cls(first, second, third, fourth, slice(fourth.stop, ends[-1]), tuple(kinds), drift, shifts)
 
     @property
     def drift(self) -> slice:
-        return slice(self.misfit.stop, self.size)
+        return slice(self.misfit.stop, int(self.misfit.stop) + self.drifting)
+
+    @property
+    def shifts(self) -> slice:
+        return slice(self.drift.stop, self.size)
 
     @property
     def size(self) -> int:
-        return int(self.misfit.stop) + self.drifting
+        return int(self.misfit.stop) + self.drifting + self.shifting
+
+
+@dataclass(frozen=True)
+class Sag:
+    """Stated sag of a bar with its standard uncertainty, both in mm: the distance by which its ends hang below its
+    middle. Other artefacts have none."""
+
+    stated_mm: float = 0.0
+    standard_uncertainty_mm: float = 0.0
+
+    @classmethod
+    def of(cls, artefact: Artefact) -> Sag:
+        return cls(artefact.sag_mm, artefact.sag_standard_uncertainty_mm if artefact.is_single_bar else 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +90,8 @@ class ArtefactErrors:
 
     `balls` (N, 3) in mm and `cte_per_k` are the certified values. `certificate` (3N, m) is a matrix L in mm; the
     covariance of the certified ball centres is L Lᵀ. The number of columns m is 0 for a perfect certificate. A standard
-    uncertainty of 0 means that the coefficient of thermal expansion (CTE) or the thermometer is exact. `uncertified`
-    contains the numbers of the balls whose centres are nominal values without a certificate.
+    uncertainty of 0 means that the coefficient of thermal expansion (CTE), the thermometer or the sag is exact.
+    `uncertified` contains the numbers of the balls whose centres are nominal values without a certificate.
     """
 
     balls: Array
@@ -72,6 +100,7 @@ class ArtefactErrors:
     cte_standard_uncertainty_per_k: float
     thermometer_standard_uncertainty_k: float
     uncertified: tuple[int, ...] = ()
+    sag: Sag = Sag()
 
     @property
     def strain_names(self) -> tuple[str, ...]:
@@ -113,16 +142,27 @@ class ArtefactErrors:
         )
 
 
+@dataclass(frozen=True)
+class BallShift:
+    """Shift of the balls of all positions that is an unknown of an identification, such as the lost motion of an axis.
+    `name` names it, and `size_mm` is the standard deviation of its size beforehand."""
+
+    name: str
+    size_mm: float
+
+
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """Meaning of each element of the vector z (P,) of the P unknowns of an identification. The vector consists of five
-    consecutive blocks.
+    """Meaning of each element of the vector z (P,) of the P unknowns of an identification. The vector consists of
+    seven consecutive blocks.
 
     The first block gives the parameters of `model`: each parameter in mm or rad is its element of z multiplied by its
     element of `scale` (p,). The second and third blocks give the certificate errors and the thermal strain of
-    `artefact`. The fourth block contains the coefficients of the modes `modes` of the misfit; the misfit field in mm is
-    the sum of all modes, each multiplied by its coefficient and by `misfit_mm`. The fifth block gives the drift of the
-    machine during the measurement, as defined by `drift`. It is empty if `drift` is None, as in a stored estimate.
+    `artefact`, the next one the error of its stated sag, which is empty if the sag is exact. The fifth block contains
+    the coefficients of the modes `modes` of the misfit; the misfit field in mm is the sum of all modes, each multiplied
+    by its coefficient and by `misfit_mm`. The sixth block gives the drift of the machine during the measurement, as
+    defined by `drift`. It is empty if `drift` is None, as in a stored estimate. The last block gives the sizes of the
+    shifts of the balls `shifts`, which a stored estimate does not contain either.
 
     `stated_noise_mm2` is the stated variance, in mm², of one coordinate of a measured ball centre, as a mean over the
     rows.
@@ -135,26 +175,31 @@ class Unknowns:
     misfit_mm: float
     drift: MachineDrift | None = None
     stated_noise_mm2: float = 0.0
+    shifts: tuple[BallShift, ...] = ()
 
     @property
     def blocks(self) -> UnknownBlocks:
         misfit = () if self.modes is None else self.modes.sizes
         drift = 0 if self.drift is None else self.drift.size
         certificate, strains = self.artefact.certificate.shape[1], len(self.artefact.strain_names)
-        return UnknownBlocks.of(self.model.size, certificate, strains, misfit, drift)
+        sag = int(self.artefact.sag.standard_uncertainty_mm > 0.0)
+        return UnknownBlocks.of(self.model.size, certificate, strains, misfit, drift, len(self.shifts), sag)
 
     def name(self, index: int) -> str:
         """Return a readable name of an unknown, such as `EXX[1]`, `certificate 3`, `strain cte` or `misfit 12`."""
-        blocks = self.blocks
-        if index < blocks.certificate.start:
+        blocks, artefact = self.blocks, self.artefact
+        if index in range(blocks.size)[blocks.parameters]:
             return self.model.names[index]
-        if index < blocks.strain.start:
-            return f"certificate {index - blocks.certificate.start}"
-        if index < blocks.misfit.start:
-            return f"strain {self.artefact.strain_names[index - blocks.strain.start]}"
-        if index < blocks.drift.start:
-            return f"misfit {index - blocks.misfit.start}"
-        return f"drift {index - blocks.drift.start}"
+        if index in range(blocks.size)[blocks.strain]:
+            return f"strain {artefact.strain_names[index - blocks.strain.start]}"
+        if index in range(blocks.size)[blocks.shifts]:
+            shift: BallShift = self.shifts[index - blocks.shifts.start]
+            return shift.name
+        if index in range(blocks.size)[blocks.sag]:
+            return "sag"
+        numbered = {"certificate": blocks.certificate, "misfit": blocks.misfit, "drift": blocks.drift}
+        kind, block = next(item for item in numbered.items() if index < item[1].stop)
+        return f"{kind} {index - block.start}"
 
     def parameters(self, z: Array) -> Array:
         """Return the p model parameters (p,) in mm or rad from the vector z (P,) of all unknowns."""

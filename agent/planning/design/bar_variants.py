@@ -80,4 +80,4 @@ class Bar:
             cte_standard_uncertainty_per_k=artefact.cte_standard_uncertainty_per_k,
             sag_mm=artefact.sag_mm,
         )
-        return replace(bar, body=artefact.body)
+        return replace(bar, body=artefact.body, sag_standard_uncertainty_mm=artefact.sag_standard_uncertainty_mm)

@@ -45,6 +45,14 @@ def test_steel_grows_by_17_um_per_kelvin_on_one_and_a_half_metres() -> None:
     assert warm[-1, 0] - warm[0, 0] - 1500.0 == pytest.approx(0.01725, abs=1e-9)
 
 
+def test_the_sag_of_a_long_bar_is_that_of_a_tube_of_carbon_fibre() -> None:
+    weight_n_per_m3, modulus_pa, radius_m, half_length_m = 1600.0 * 9.81, 120e9, 0.015, 0.75
+    # thin tube, second moment of area A r²/2; cantilever under its own weight, w L⁴ / 8EI
+    sag_mm = 1e3 * weight_n_per_m3 * half_length_m**4 / (8.0 * modulus_pa * 0.5 * radius_m**2)
+    assert bar(tilt_rad=0.0).expected_sag_mm == pytest.approx(sag_mm, rel=1e-6)
+    assert sag_mm == pytest.approx(0.046, abs=0.001)
+
+
 def test_sag_is_that_of_a_cantilever_from_the_middle_and_vanishes_upright() -> None:
     sagging = bar(tilt_rad=0.0, sag_mm=0.030)
     # w(x) = (6x² - 4x³ + x⁴)/3 of the end's droop: at x = 0.6, (2.16 - 0.864 + 0.1296)/3 = 0.4752

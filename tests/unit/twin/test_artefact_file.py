@@ -108,6 +108,8 @@ def distance(rod: Rod, point: tuple[float, float, float]) -> float:
         ("[[bodies]]\nlower_mm = [0, 0, 0]\nupper_mm = [1, 1, 0]\n", "'frame' needs a lower corner"),
         ('[[bodies]]\nname = "ball 1"\nfrom_mm = [0, 0, 0]\nto_mm = [1, 0, 0]\nradius_mm = 1\n', "named 'ball 1'"),
         ("sag_um = 3\nbodies = []\n", "sag_um"),
+        ("sag_standard_uncertainty_um = 1\nbodies = []\n", "sag_standard_uncertainty_um"),
+        ("sag_standard_uncertainty_um = -1\n", "sag_standard_uncertainty_um"),
     ],
 )
 def test_wrong_solid_parts_are_refused(added: str, told: str) -> None:
@@ -115,6 +117,25 @@ def test_wrong_solid_parts_are_refused(added: str, told: str) -> None:
         parse_artefact(TEXT + added, "pair.toml")
     assert "pair.toml" in str(caught.value)
     assert told in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("added", "sag_mm", "doubt_mm"),
+    [
+        ("sag_um = 3\n", 0.003, 0.0),
+        ("sag_um = 0\n", 0.0, 0.0),
+        ("sag_um = 3\nsag_standard_uncertainty_um = 0.5\n", 0.003, 0.0005),
+        ("sag_standard_uncertainty_um = 7\n", 0.0, 0.007),
+        ("bodies = []\n", 0.0, 0.0),
+        ("[beam]\nradius_mm = 15.0\n", 0.0, 0.002),  # two balls 300 mm apart: less than 0.1 µm by its weight
+    ],
+)
+def test_a_sag_that_is_not_stated_is_as_uncertain_as_the_shape_allows(
+    added: str, sag_mm: float, doubt_mm: float
+) -> None:
+    artefact = parse_artefact(TEXT + added, "pair.toml")
+    assert artefact.sag_mm == pytest.approx(sag_mm)
+    assert artefact.sag_standard_uncertainty_mm == pytest.approx(doubt_mm)
 
 
 def test_positions_survive_writing_and_reading() -> None:

@@ -206,6 +206,7 @@ def test_an_artefact_that_is_written_and_read_is_the_same(body: ArtefactBody) ->
         uncertified=(1,),
         body=body,
         sag_mm=0.0 if body.beam is None else 3e-3,
+        sag_standard_uncertainty_mm=0.0 if body.beam is None else 5e-4,
     )
     text, table = format_artefact(written, "covariance.csv", ("One note.",))
     found = parse_artefact(text, "again.toml", {"covariance.csv": table}.__getitem__)

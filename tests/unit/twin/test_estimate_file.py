@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -56,6 +57,29 @@ def test_an_estimate_from_its_file_carries_over_as_the_one_in_hand() -> None:
     assert stored.scales == known.scales
     assert from_file.z == pytest.approx(from_hand.z, abs=1e-12)
     assert from_file.z_covariance == pytest.approx(from_hand.z_covariance, abs=1e-12)
+
+
+def test_the_sag_is_stored_and_carried_over_with_the_estimate() -> None:
+    sagging = replace(bar(7), sag_standard_uncertainty_mm=0.02)
+    first, second = (
+        measured(name, 2, sagging, lambda X, t: np.zeros_like(X), np.random.default_rng(k))
+        for k, name in enumerate(("S3", "S2"))
+    )
+    once = identify(MODEL, first, sagging, FAMILY)
+    stored = parse_estimate(format_estimate(once, {}), "e.json")
+    [told] = stored.document.ball_shifts
+    assert (told.name, told.size_um) == ("sag", once.shifts[0].size_um)
+    assert once.unknowns.name(once.unknowns.blocks.sag.start) == "sag"
+    again = [
+        identify(MODEL, second, sagging, FAMILY, Options(carried_over=known))
+        for known in (once.carried_over(), stored.carried_over())
+    ]
+    assert again[1].z == pytest.approx(again[0].z, abs=1e-12)
+    alone = identify(MODEL, second, sagging, FAMILY)
+    uncertainties = [one.shifts[0].standard_uncertainty_um for one in (again[0], once, alone)]
+    assert uncertainties[0] < 0.9 * min(uncertainties[1:])
+    stiffer = replace(sagging, sag_standard_uncertainty_mm=0.0)  # a new statement replaces the estimate
+    assert not identify(MODEL, second, stiffer, FAMILY, Options(carried_over=once.carried_over())).shifts
 
 
 def test_without_misfit_and_with_a_perfect_certificate_too() -> None:

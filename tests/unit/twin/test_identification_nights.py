@@ -55,6 +55,14 @@ def in_turn(nights: list[Observations], artefact: Artefact, options: Options = F
     return estimate
 
 
+def test_two_nights_of_a_sagging_bar_are_one_fit_of_both() -> None:
+    sagging = dataclasses.replace(STEEL, sag_standard_uncertainty_mm=2e-5)
+    first, second = a_night("S3", sagging, 0, 1e-3), a_night("S2", sagging, 1, 1e-3)
+    assert_same(
+        in_turn([first, second], sagging), identify(MODEL, together(first, second), sagging, FAMILY, FIXED), 1e-6
+    )
+
+
 def assert_same(one: Estimate, other: Estimate, accuracy: float) -> None:
     assert one.z == pytest.approx(other.z, abs=accuracy)
     assert one.parameters / SIGMA == pytest.approx(other.parameters / SIGMA, abs=accuracy)
