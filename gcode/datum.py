@@ -8,7 +8,8 @@ from __future__ import annotations
 import math
 
 from gcode.codes import AXIS_LETTERS
-from gcode.modal import UNKNOWN, ModalState
+from gcode.modal import UNKNOWN, XY_PLANE, ModalState
+from gcode.polar import POLAR, polar_end
 from gcode.setup import NO_OFFSET, SYSTEMS, Triple
 from gcode.words import Block
 from gcode.writer import ProgramWriter
@@ -41,12 +42,34 @@ def target_position(block: Block, modal: ModalState, machine: bool) -> Triple:
         base: Triple | list[float] = NO_OFFSET
     else:
         base = program_zero(block, modal) if modal.absolute else position
+    if not POLAR.isdisjoint(values):
+        return _polar_target(block, modal, machine)
     x, y, z = values.get("X"), values.get("Y"), values.get("Z")
     return (
         position[0] if x is None else x * unit + base[0],
         position[1] if y is None else y * unit + base[1],
         position[2] if z is None else z * unit + base[2],
     )
+
+
+def _polar_target(block: Block, modal: ModalState, machine: bool) -> Triple:
+    values, unit, position = block.values, modal.unit_mm, modal.position
+    if machine:
+        block.refuse("polar coordinates count from the zero point of the program, so G53 cannot use them")
+    if "X" in values or "Y" in values:
+        block.refuse("X or Y together with polar coordinates")
+    if modal.plane != XY_PLANE:
+        block.refuse("polar coordinates need G17")
+    zero = program_zero(block, modal)
+    if not modal.position_known:
+        block.refuse("the position of the axes at this line is not known", modal.start_hint)
+    x, y = ((position[axis] - zero[axis]) / unit for axis in (0, 1))
+    end_x, end_y = polar_end(
+        x, y, values.get("@"), values.get("^"), absolute=modal.absolute, source=block.source
+    )
+    z = values.get("Z")
+    end_z = position[2] if z is None else z * unit + (zero if modal.absolute else position)[2]
+    return end_x * unit + zero[0], end_y * unit + zero[1], end_z
 
 
 def set_datum(block: Block, code: int, modal: ModalState, writer: ProgramWriter) -> None:

@@ -37,11 +37,11 @@ from gcode.source import SourceLine
 SubprogramFiles = Callable[[str], Iterable[str] | None]
 """Function that returns the lines of the file of a subprogram with this name, or None if there is no such file."""
 
-# Anything that is not a plain block: parameters, expressions, polar coordinates, O-words, (ABORT), the codes of canned
+# Anything that is not a plain block: parameters, expressions, O-words, (ABORT), the codes of canned
 # cycles and of their end (G73, G8x, G98, G99), the codes on which cycles depend (G61, G64, M3 to M5), saved states (M70
 # to M73), and M98 and M99. The G and M words may have spaces and leading zeros.
 _SPECIAL = re.compile(
-    r"[#\[@^oO]|[gG][ \t]*0*(?:61|64|73|8[0-9]|9[89])(?!\d)|[mM][ \t]*0*(?:[345]|7[0-3]|9[89])(?!\d)|\([ \t]*[aA][bB]"
+    r"[#\[oO]|[gG][ \t]*0*(?:61|64|73|8[0-9]|9[89])(?!\d)|[mM][ \t]*0*(?:[345]|7[0-3]|9[89])(?!\d)|\([ \t]*[aA][bB]"
 )
 _ABORT = re.compile(r"\([ \t]*abort\b", re.IGNORECASE)
 _CALL, _RETURN = 980, 990
@@ -196,10 +196,10 @@ class Flattener:
         if statement.deletable and (statement.assignments or statement.computed):
             source.refuse("block delete makes this line optional, and it depends on parameters", "Remove the slash")
         cycle = self._cycles.wants(statement)
-        words = statement.words if cycle else cartesian(statement.words, source, self._modal)
+        words = statement.words
         if cycle:
             yield from self._cycle(source, statement)
-        elif statement.computed or statement.assignments or words is not statement.words:
+        elif statement.computed or statement.assignments:
             if words:
                 yield PlainBlock(source, block_text(words, statement.comments))
         elif not any(map(shows_parameters, statement.comments)):

@@ -27,7 +27,8 @@ def flat(
     program: str, parameters: dict[str, float] | None = None, files: dict[str, str] | None = None, **setup: object
 ) -> list[str]:
     """Return the blocks of a program that is corrected with a table of zeros."""
-    start = PartSetup({"G54": (0.0, 0.0, 0.0)}, start=(0.0, 0.0, 0.0), parameters=parameters or {}, **setup)  # type: ignore[arg-type]
+    known = {"work_offsets": {"G54": (0.0, 0.0, 0.0)}, **setup}
+    start = PartSetup(start=(0.0, 0.0, 0.0), parameters=parameters or {}, **known)  # type: ignore[arg-type]
     written: list[str] = []
 
     def found(name: str) -> Iterable[str] | None:
@@ -137,6 +138,49 @@ M2
 def test_numbered_subprograms() -> None:
     program = "%\nO1\n#1=1\nM98 P20 L2\nM98 P30\nM30\nO20\nG4 P#1\n#1=[#1+1]\nM99\nO30\nM98 P20\nM99\n%\n"
     assert flat(program) == ["%", "O1", "G4 P1", "G4 P2", "G4 P3", "M30", "%"]
+
+
+POLAR_START = "G90 G0 X20 Y0 Z0"
+
+
+@pytest.mark.parametrize(
+    ("before", "block", "end"),
+    [
+        ("", "G91 G1 @-1 ^30 F100", (16.4545, 9.5, 0.0)),
+        ("", "@-1 ^30 F100 G1 G91", (16.4545, 9.5, 0.0)),
+        ("G91", "G90 G1 @10 ^90 F100", (0.0, 10.0, 0.0)),
+        ("", "G91 G0 ^[60 - 30]", (17.3205, 10.0, 0.0)),
+        ("", "G55 G1 @10 ^0 F100", (15.0, -5.0, 0.0)),
+        ("", "G20 G1 @1 ^90 F100", (0.0, 25.4, 0.0)),
+        ("", "G43.1 Z3\nG49 G1 @10 F100 Z4", (10.0, 0.0, 4.0)),
+        ("", "G91 G3 @0 ^90 I-20 J0 F100", (0.0, 20.0, 0.0)),
+    ],
+)
+def test_polar_coordinates_belong_to_the_modes_of_their_own_block(
+    before: str, block: str, end: tuple[float, float, float]
+) -> None:
+    program = f"{POLAR_START}\n{before}\n{block}\nG21 G54 G90\nG4 P#5420\nG4 P#5421\nG4 P#5422\n"
+    blocks = flat(program, work_offsets={"G54": (0.0, 0.0, 0.0), "G55": (5.0, -5.0, 0.0)})
+    assert [float(line.removeprefix("G4 P")) for line in blocks[-3:]] == pytest.approx(end, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("block", "reason"),
+    [
+        ("G53 G0 @10 ^30", "G53 cannot use them"),
+        ("G28 @10 ^30", "a code that uses the axis words"),
+        ("G92 @10 Z3", "a code that uses the axis words"),
+        ("G1 @10 X3 F100", "X or Y together"),
+        ("G18 G1 @10 F100", "need G17"),
+        ("G0 X0 Y0\nG1 @10 F100", "has no angle"),
+        ("G0 X0 Y0\nG91 G1 @10 ^30 F100", "has no angle"),
+        ("@10 @20", "occurs twice"),
+        ("G80 @10", "none of G0 to G3"),
+    ],
+)
+def test_polar_coordinates_that_are_no_motion_are_refused(block: str, reason: str) -> None:
+    with pytest.raises(FormatError, match=reason):
+        flat(f"{POLAR_START}\n{block}\n")
 
 
 def test_canned_cycles_become_moves() -> None:
