@@ -37,9 +37,9 @@ from gcode.source import SourceLine
 SubprogramFiles = Callable[[str], Iterable[str] | None]
 """Function that returns the lines of the file of a subprogram with this name, or None if there is no such file."""
 
-# Anything that is not a plain block: parameters, expressions, O-words, (ABORT), the codes of canned
-# cycles and of their end (G73, G8x, G98, G99), the codes on which cycles depend (G61, G64, M3 to M5), saved states (M70
-# to M73), and M98 and M99. The G and M words may have spaces and leading zeros.
+# Anything that is not a plain block: parameters, expressions, O-words, (ABORT), the codes of canned cycles and of their
+# end (G73, G8x, G98, G99), the codes on which cycles depend (G61, G64, M3 to M5), saved states (M70 to M73), and M98 and
+# M99. The G and M words may have spaces and leading zeros.
 _SPECIAL = re.compile(
     r"[#\[oO]|[gG][ \t]*0*(?:61|64|73|8[0-9]|9[89])(?!\d)|[mM][ \t]*0*(?:[345]|7[0-3]|9[89])(?!\d)|\([ \t]*[aA][bB]"
 )
@@ -90,7 +90,8 @@ class Flattener:
         self._system = SystemParameters(modal)
         self._parameters = ProgramParameters(given, self._system.value)
         self._files = files
-        self._cycles = CannedCycles()
+        retract = modal.setup.retract
+        self._cycles = CannedCycles(to_r=None if retract is None else retract == "G99")
         self._calls: list[_Call] = []
         self._known: dict[str, tuple[ControlFlow, int]] = {}
         self._executed = 0
