@@ -14,6 +14,7 @@ from gcode.setup import NO_OFFSET, SYSTEMS, Triple
 from gcode.words import Block
 from gcode.writer import ProgramWriter
 
+_BLENDING = 640
 _NO_POSITION = "its position at that point is not known"
 
 
@@ -135,7 +136,7 @@ def go_to_reference(block: Block, name: str, modal: ModalState, writer: ProgramW
         writer.write_unchanged(block.text)
     intended, stored = modal.references.get(name, (UNKNOWN, UNKNOWN))
     # G30 P3 and P4 are further reference points of some controllers; where they are is not known.
-    if block.values.get("P", 2.0) != 2.0:
+    if block.values.get("P", 2.0) != 2.0 and _BLENDING not in block.g:
         intended = stored = UNKNOWN
     for axis in axes or range(3):
         modal.position[axis], writer.position[axis] = intended[axis], stored[axis]
@@ -166,6 +167,9 @@ def set_work_offset(block: Block, modal: ModalState, writer: ProgramWriter) -> N
         block.refuse(message, "Set the other offsets before the program and give them to this command")
     if number is None or not (number.is_integer() and 0.0 <= number <= len(SYSTEMS)):
         block.refuse(f"G10 needs the number of the work offset, P0 to P{len(SYSTEMS)}")
+    if kind == 2.0 and not modal.absolute:
+        message = "G10 L2 with G91 adds to the offset on some controllers and replaces it on others"
+        block.refuse(message, "Write it with G90")
     writer.flush()
     # P0 is the coordinate system in effect.
     name = SYSTEMS[int(number) - 1] if number else modal.system
@@ -175,9 +179,7 @@ def set_work_offset(block: Block, modal: ModalState, writer: ProgramWriter) -> N
     for axis in axes_in_block(block):
         value_mm = block.values[AXIS_LETTERS[axis]] * modal.unit_mm
         if kind == 2.0:
-            # With G91, L2 adds to the offset.
-            intended[axis] = value_mm + (0.0 if modal.absolute else intended[axis])
-            written[axis] = value_mm + (0.0 if modal.absolute else written[axis])
+            intended[axis] = written[axis] = value_mm
             continue
         if math.isnan(modal.position[axis]):
             block.refuse(f"G10 L20 sets coordinates of {AXIS_LETTERS[axis]}, but {_NO_POSITION}", modal.start_hint)

@@ -17,7 +17,8 @@ REFERENCES_MM = {"G28": (20.0, 10.0, 200.0), "G30": (-35.0, 22.0, 180.0)}
 _PLANES = {"G17": (0, 1, 2), "G18": (2, 0, 1), "G19": (1, 2, 0)}
 _CYCLES = ("G73", "G81", "G82", "G83", "G85", "G86", "G89")
 
-# Codes of each modal group that a block may contain beside its motion, and the probability that it does.
+# Codes of each modal group that a block may contain beside its motion, and the probability that it does. Tool changes are
+# left out: rs274 without a machine takes the position after them from the last move, whatever offsets have changed since.
 _MODES: tuple[tuple[float, tuple[str, ...]], ...] = (
     (0.25, ("G90", "G91")),
     (0.12, ("G20", "G21", "G21")),
@@ -32,8 +33,8 @@ _MODES: tuple[tuple[float, tuple[str, ...]], ...] = (
     (0.10, ("M3", "M4", "M5")),
     (0.08, ("M7", "M8", "M9")),
     (0.08, ("S100", "S2000")),
-    (0.05, ("T1", "T2", "T1 M6", "M6")),
-    (0.08, ("G43", "G43 H1", "G43 H2", "G43 H0", "G49")),
+    (0.03, ("T1", "T2")),
+    (0.08, ("G43", "G43 H1", "G43 H2", "G49")),
 )
 
 
@@ -56,7 +57,7 @@ class ProgramAuthor:
         offsets = [
             f"G10 L2 P{SYSTEMS.index(name) + 1} X{x:g} Y{y:g} Z{z:g}" for name, (x, y, z) in WORK_OFFSETS_MM.items()
         ]
-        begin = ["G21 G90 G17 G94 G91.1 G54 G98 S500", *offsets, f"G0 {self._axes((0, 1, 2))} F500"]
+        begin = ["G21 G90 G17 G94 G91.1 G54 G98 S500", "T1 M6", *offsets, f"G0 {self._axes((0, 1, 2))} F500"]
         blocks = [self._block() for _ in range(self._random.randint(4, 14))]
         return [f"N{10 * number} {text}\n" for number, text in enumerate([*begin, *blocks, "M2"], start=1)]
 

@@ -6,6 +6,7 @@ It shares nothing with `gcode`. Positions are axis positions in mm.
 from __future__ import annotations
 
 import math
+import os
 import re
 import shutil
 import subprocess
@@ -24,6 +25,7 @@ _NUMBER = re.compile(r"-?\d+\.?\d*(?:e-?\d+)?")
 _PLANES = {"CANON_PLANE_XY": (0, 1, 2), "CANON_PLANE_XZ": (2, 0, 1), "CANON_PLANE_YZ": (1, 2, 0)}
 _ARC_STEP = 0.01
 _ARC_SAGITTA_MM = 1e-4
+_SAME_POINT_MM = 0.008
 _REFERENCE_PARAMETERS = {"G28": 5161, "G30": 5181}
 _STATES = {
     "SET_FEED_MODE": "mode",
@@ -103,6 +105,8 @@ def execute(
     done = subprocess.run(
         [RS274, "-t", str(tools), "-v", str(parameters), "-g", program.name],
         cwd=program.parent,
+        # rs274 maps a file in the home directory into memory, which several processes at once would damage.
+        env={**os.environ, "HOME": str(folder)},
         stdin=subprocess.DEVNULL,
         capture_output=True,
         timeout=600.0,
@@ -198,7 +202,8 @@ class _Machine:
         last = end[[a, b]] - centre
         angle = math.atan2(begin[0] * last[1] - begin[1] * last[0], float(begin @ last))
         turn = math.copysign(math.tau, turns)
-        sweep = angle if angle * turn > 0.0 and abs(angle) > 1e-7 else angle + turn
+        # Start and end of a full circle differ by the rounding of what is printed.
+        sweep = angle if angle * turn > 0.0 and abs(angle) * np.linalg.norm(begin) > _SAME_POINT_MM else angle + turn
         sweep += turn * (abs(turns) - 1)
         largest = max(float(np.linalg.norm(begin)), float(np.linalg.norm(last)), 1e-3)
         # A chord of the angle θ is at most r θ² / 8 from its arc.

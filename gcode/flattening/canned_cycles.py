@@ -77,6 +77,8 @@ class CannedCycles:
     def split(self, statement: Statement) -> tuple[list[BlockWord], tuple[BlockWord, ...]]:
         """Return the words that do not belong to the cycle, and those that do."""
         source, own, others = statement.source, {}, []
+        if _BLENDED in statement.codes("G") and any(word.letter in "PQ" for word in statement.words):
+            source.refuse("P and Q in a block with G64 and a canned cycle may belong to either", "Write two blocks")
         for word in statement.words:
             if word.letter in _OWN_LETTERS:
                 if word.letter in own:

@@ -32,6 +32,7 @@ from gcode.flattening.saved_state import (
 from gcode.flattening.statements import Statement, block_text, read_statement, shows_parameters
 from gcode.flattening.system_parameters import SystemParameters
 from gcode.modal import ModalState
+from gcode.polar import POLAR
 from gcode.source import SourceLine
 
 SubprogramFiles = Callable[[str], Iterable[str] | None]
@@ -216,12 +217,12 @@ class Flattener:
         if others:
             yield PlainBlock(source, block_text(others, statement.comments))
         times = self._cycles.repeats(own, source)
-        polar = any(word.letter in "@^" for word in own)
-        # Polar coordinates depend on the position, so each repetition is converted after the one before has been
-        # executed.
-        for _ in range(times if polar else 1):
+        # With G91, polar coordinates depend on the position, so each repetition is converted after the one before has been
+        # executed. With G90, all repetitions are at one place.
+        one_by_one = not self._modal.absolute and any(word.letter in POLAR for word in own)
+        for _ in range(times if one_by_one else 1):
             words = cartesian(own, source, self._modal)
-            for text in self._cycles.run(words, 1 if polar else times, source, self._modal):
+            for text in self._cycles.run(words, 1 if one_by_one else times, source, self._modal):
                 yield PlainBlock(source, text)
 
     def _statement(self, source: SourceLine) -> Statement:
