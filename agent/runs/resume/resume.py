@@ -73,7 +73,7 @@ def _resume_once(
         journal, recorded = resources.journal.continue_run(origin.start.run, run_id, clock)
         record_asked(journal, asked)
         tracker = RunStateTracker(journal, hooks.announce, recorded.states)
-        steps = StepProgress(tracker, hooks.observe, rig.link_interruptions)
+        steps = StepProgress(tracker, hooks.observe, rig)
         replay = Replay(recorded, run_clock, StepTrace())
         actions = run_actions(rig, journal, tracker, resources.supervisor, hooks)
         engine = ReplayingEngine(actions, journal, steps.observe, replay, stored_tables(journal, rig))
