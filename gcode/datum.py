@@ -65,9 +65,7 @@ def _polar_target(block: Block, modal: ModalState, machine: bool) -> Triple:
     if not modal.position_known:
         block.refuse("the position of the axes at this line is not known", modal.start_hint)
     x, y = ((position[axis] - zero[axis]) / unit for axis in (0, 1))
-    end_x, end_y = polar_end(
-        x, y, values.get("@"), values.get("^"), absolute=modal.absolute, source=block.source
-    )
+    end_x, end_y = polar_end(x, y, values.get("@"), values.get("^"), absolute=modal.absolute, source=block.source)
     z = values.get("Z")
     end_z = position[2] if z is None else z * unit + (zero if modal.absolute else position)[2]
     return end_x * unit + zero[0], end_y * unit + zero[1], end_z

@@ -331,9 +331,8 @@ class Interpreter:
         if timed and not inverse > 0.0:
             block.refuse("with G93 every move needs its own F", "Write the F word")
         comment = f" {block.comments}" if block.comments else ""
-        mask = ("X" in values) + 2 * ("Y" in values) + 4 * ("Z" in values)
-        if not POLAR.isdisjoint(values):
-            mask |= 3
+        polar = not POLAR.isdisjoint(values)
+        mask = (polar or "X" in values) + 2 * (polar or "Y" in values) + 4 * ("Z" in values)
         return MoveBlock(
             block.source, _WRITTEN[motion], coded, machine, mask, head, tail, stop, comment, inverse, whole
         )

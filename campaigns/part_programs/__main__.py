@@ -1,13 +1,13 @@
-"""Trial of `volcal gcode correct` on random part programs, against the interpreter of LinuxCNC (`rs274`). The output ends
-with one line of JSON.
+"""Trial of `volcal gcode correct` on random part programs, against the interpreter of LinuxCNC (`rs274`). The output
+ends with one line of JSON.
 
     python -m campaigns.part_programs --count 20000 --seed 1 --workers 2
     python -m campaigns.part_programs --only 123        # repeat one program and print it with its result
 
 A program has a dozen blocks with codes of many modal groups in random order: motion, polar coordinates, arcs, canned
 cycles, offsets, G92, G28, G53, units, planes, distance modes. Blocks that `rs274` or volcal refuses are taken out. The
-original and the corrected program are executed by `rs274` and compared block by block: kind and number of moves, the path
-of each (within the chord error of the path that the table asks for), duration, feed mode, spindle and coolant.
+original and the corrected program are executed by `rs274` and compared block by block: kind and number of moves, the
+path of each (within the chord error of the path that the table asks for), duration, feed mode, spindle and coolant.
 
 The exit code is 0 only if no program failed; 77 if `rs274` is not installed.
 """

@@ -1,5 +1,5 @@
-"""Comparison of a corrected program with the original one, block by block: both are executed by `rs274`, and the path of
-the corrected one is compared with the path that the table asks for.
+"""Comparison of a corrected program with the original one, block by block. Both are executed by `rs274`, and the path
+of the corrected one is compared with the path that the table asks for.
 """
 
 from __future__ import annotations

@@ -17,8 +17,9 @@ REFERENCES_MM = {"G28": (20.0, 10.0, 200.0), "G30": (-35.0, 22.0, 180.0)}
 _PLANES = {"G17": (0, 1, 2), "G18": (2, 0, 1), "G19": (1, 2, 0)}
 _CYCLES = ("G73", "G81", "G82", "G83", "G85", "G86", "G89")
 
-# Codes of each modal group that a block may contain beside its motion, and the probability that it does. Tool changes are
-# left out: rs274 without a machine takes the position after them from the last move, whatever offsets have changed since.
+# Codes of each modal group that a block may contain beside its motion, and the probability that it does. Tool changes
+# are left out: rs274 without a machine takes the position after them from the last move, whatever offsets have changed
+# since.
 _MODES: tuple[tuple[float, tuple[str, ...]], ...] = (
     (0.25, ("G90", "G91")),
     (0.12, ("G20", "G21", "G21")),
@@ -42,7 +43,8 @@ class ProgramAuthor:
     """Author of the random program with a seed.
 
     The plane and the units are followed roughly, so that arcs name the axes of their plane and lengths stay moderate.
-    The unit does not change while a tool length is in effect: LinuxCNC 2.9 would not convert the length.
+    A program either changes units or has tool lengths: LinuxCNC 2.9 does not convert a tool length in effect to another
+    unit, and goes wrong by 25 times the length.
     """
 
     def __init__(self, seed: int) -> None:
@@ -50,7 +52,7 @@ class ProgramAuthor:
         self._inch = False
         self._plane = "G17"
         self._absolute = True
-        self._tool_length_on = False
+        self._changes_units = self._random.random() < 0.5
 
     def lines(self) -> list[str]:
         """Return the lines of the program, each with an N word and its line end."""
@@ -67,7 +69,7 @@ class ProgramAuthor:
         for probability, codes in _MODES:
             if draw.random() < probability:
                 code = draw.choice(codes)
-                if code not in ("G20", "G21") or not self._tool_length_on:
+                if self._is_allowed(code):
                     groups.append(code)
                     self._follow(code)
         kinds: list[tuple[float, Callable[[], str]]] = [
@@ -95,8 +97,11 @@ class ProgramAuthor:
         self._plane = code if code in _PLANES else self._plane
         self._inch = code == "G20" if code in ("G20", "G21") else self._inch
         self._absolute = code == "G90" if code in ("G90", "G91") else self._absolute
-        if code.startswith(("G43", "G49")):
-            self._tool_length_on = code != "G49"
+
+    def _is_allowed(self, code: str) -> bool:
+        if code in ("G20", "G21"):
+            return self._changes_units
+        return not (self._changes_units and code.startswith("G43"))
 
     def _spelled(self, words: list[str]) -> str:
         """Return the text of a block in one of the spellings that mean the same."""
@@ -192,5 +197,6 @@ class ProgramAuthor:
         return f"G53 {self._random.choice(('G0', 'G1'))} {self._axes(self._some_axes())}"
 
     def _tool_length(self) -> str:
-        self._tool_length_on = True
+        if self._changes_units:
+            return "G49"
         return f"G43.1 {self._axes(self._some_axes())}"

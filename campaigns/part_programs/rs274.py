@@ -102,7 +102,7 @@ def execute(
         for axis, value in enumerate(xyz)
     }
     parameters.write_text("".join(f"{key}\t{value / 25.4:.9f}\n" for key, value in sorted(values.items())))
-    done = subprocess.run(
+    done = subprocess.run(  # noqa: S603
         [RS274, "-t", str(tools), "-v", str(parameters), "-g", program.name],
         cwd=program.parent,
         # rs274 maps a file in the home directory into memory, which several processes at once would damage.
@@ -176,7 +176,7 @@ class _Machine:
 
     @property
     def zero(self) -> Array:
-        return np.sum(list(self.offsets.values()), axis=0)
+        return self.offsets["G5X"] + self.offsets["G92"] + self.offsets["TOOL"]
 
     def straight(self, feed: bool, end: Array) -> None:
         steps = max(1, math.ceil(float(np.linalg.norm(end - self.position)) / 5.0)) if feed else 1

@@ -269,7 +269,9 @@ class Drive:
         if not self._monitor.silent:
             return ""
         name = f"the drive of the {self.node.axis} (node {self.node.node_id})"
-        return f"{name} sends no heartbeat, but still answers: check its heartbeat time (0x1017) and the load of the bus"
+        return (
+            f"{name} sends no heartbeat, but still answers: check its heartbeat time (0x1017) and the load of the bus"
+        )
 
     def check_in_motion(self) -> None:
         """Call `check`; raise MotionFault if it returns an emergency error code that the settings do not tolerate."""

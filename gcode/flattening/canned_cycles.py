@@ -74,6 +74,15 @@ class CannedCycles:
         letters = {word.letter for word in statement.words}
         return bool(named) or not letters.isdisjoint("XYZ@^")
 
+    @property
+    def modes(self) -> tuple[bool | None, bool]:
+        """The level to which cycles return, and exact path, which M70 saves and M72 restores."""
+        return self.to_r, self.exact
+
+    @modes.setter
+    def modes(self, saved: tuple[bool | None, bool]) -> None:
+        self.to_r, self.exact = saved
+
     def split(self, statement: Statement) -> tuple[list[BlockWord], tuple[BlockWord, ...]]:
         """Return the words that do not belong to the cycle, and those that do."""
         source, own, others = statement.source, {}, []
@@ -134,7 +143,9 @@ class CannedCycles:
         if self.initial is None:
             self.initial, self.frame = present, frame
         elif frame != self.frame:
-            message = "the plane, the unit or the zero point has changed during a canned cycle, whose levels would change"
+            message = (
+                "the plane, the unit or the zero point has changed during a canned cycle, whose levels would change"
+            )
             source.refuse(message, "Write G80 before the change, and the cycle with all of its words after it")
         return self.initial
 
@@ -142,7 +153,9 @@ class CannedCycles:
         """Return the level to which the tool returns from a hole."""
         highest = max(level, initial)
         if self.to_r is None and highest != level:
-            message = "it is not known whether the cycle returns to the initial level or to R: controllers begin with either"
+            message = (
+                "it is not known whether the cycle returns to the initial level or to R: controllers begin with either"
+            )
             source.refuse(message, "Write G98 or G99 before the cycle, or give `retract` in the setup file")
         return level if self.to_r else highest
 

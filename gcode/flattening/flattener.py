@@ -39,8 +39,8 @@ SubprogramFiles = Callable[[str], Iterable[str] | None]
 """Function that returns the lines of the file of a subprogram with this name, or None if there is no such file."""
 
 # Anything that is not a plain block: parameters, expressions, O-words, (ABORT), the codes of canned cycles and of their
-# end (G73, G8x, G98, G99), the codes on which cycles depend (G61, G64, M3 to M5), saved states (M70 to M73), and M98 and
-# M99. The G and M words may have spaces and leading zeros.
+# end (G73, G8x, G98, G99), the codes on which cycles depend (G61, G64, M3 to M5), saved states (M70 to M73), and M98
+# and M99. The G and M words may have spaces and leading zeros.
 _SPECIAL = re.compile(
     r"[#\[oO]|[gG][ \t]*0*(?:61|64|73|8[0-9]|9[89])(?!\d)|[mM][ \t]*0*(?:[345]|7[0-3]|9[89])(?!\d)|\([ \t]*[aA][bB]"
 )
@@ -76,6 +76,7 @@ class _Call:
     repeats: int = 0
     counts: dict[int, int] = field(default_factory=dict)
     saved: SavedState | None = None
+    saved_cycle_modes: tuple[bool | None, bool] = (None, False)
 
 
 class Flattener:
@@ -180,6 +181,7 @@ class Flattener:
             source.refuse("M70 to M73 are supported only in blocks of their own")
         if codes[0] in (SAVE, SAVE_FOR_RETURN):
             call.saved = SavedState.of(self._modal, at_return=codes[0] == SAVE_FOR_RETURN)
+            call.saved_cycle_modes = self._cycles.modes
         elif codes[0] == INVALIDATE:
             call.saved = None
         elif call.saved is None:
@@ -190,6 +192,7 @@ class Flattener:
     def _restore(self, saved: SavedState, source: SourceLine) -> Iterator[PlainBlock]:
         for text in saved.restored(self._modal, source):
             yield PlainBlock(source, text)
+        self._cycles.modes = self._calls[-1].saved_cycle_modes
 
     def _simple(self, source: SourceLine, statement: Statement) -> Iterator[PlainBlock]:
         """Execute a statement, and yield its block if it has one."""
@@ -217,8 +220,8 @@ class Flattener:
         if others:
             yield PlainBlock(source, block_text(others, statement.comments))
         times = self._cycles.repeats(own, source)
-        # With G91, polar coordinates depend on the position, so each repetition is converted after the one before has been
-        # executed. With G90, all repetitions are at one place.
+        # With G91, polar coordinates depend on the position, so each repetition is converted after the one before has
+        # been executed. With G90, all repetitions are at one place.
         one_by_one = not self._modal.absolute and any(word.letter in POLAR for word in own)
         for _ in range(times if one_by_one else 1):
             words = cartesian(own, source, self._modal)

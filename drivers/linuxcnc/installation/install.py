@@ -213,7 +213,9 @@ def _require_other_method_unused(ini: IniFile) -> None:
 def _notes_on_kinematics(ini: IniFile, texts: list[tuple[str, str]]) -> list[str]:
     """Return notes on the kinematics. Raises InputError if they are not those of three slides."""
     section = ini.section("KINS")
-    named = [] if section is None else [entry for entry in ini.entries(section) if entry[1] == "KINEMATICS" and entry[2]]
+    named = (
+        [] if section is None else [entry for entry in ini.entries(section) if entry[1] == "KINEMATICS" and entry[2]]
+    )
     in_ini = [NamedKinematics(value, str(ini.path), index + 1) for index, _, value in named[:1]]
     return [note for kinematics in (*in_ini, *loaded_kinematics(texts)) for note in notes_on(kinematics)]
 

@@ -46,13 +46,13 @@ def notes_on(kinematics: NamedKinematics) -> list[str]:
     """Return what a user must know about the kinematics. Raises InputError if they cannot be compensated."""
     if kinematics.name == _BELTS:
         return [
-            f"{_BELTS}: two motors move X and Y together; the table corrects X, Y and Z of the tool, not the motors, and "
-            "stretch of the belts that changes with load or acceleration is not in it"
+            f"{_BELTS}: two motors move X and Y together; the table corrects X, Y and Z of the tool, not the motors, "
+            "and stretch of the belts that changes with load or acceleration is not in it"
         ]
     if kinematics.name != SLIDES:
         raise InputError(
-            f"volcal cannot compensate a machine with the kinematics {kinematics.name}: its errors are not those of three "
-            "slides X, Y and Z",
+            f"volcal cannot compensate a machine with the kinematics {kinematics.name}: its errors are not those of "
+            "three slides X, Y and Z",
             hint=f"{SLIDES} is supported, with X, Y and Z and any further axes",
             file=kinematics.file,
             line=kinematics.line,
@@ -63,6 +63,6 @@ def notes_on(kinematics: NamedKinematics) -> list[str]:
         return []
     axes = f"the axis {others[0]} is" if len(others) == 1 else f"the axes {', '.join(others[:-1])} and {others[-1]} are"
     return [
-        f"{axes} not compensated: the table corrects X, Y and Z, and holds for the positions of the other axes at which "
-        "it was measured"
+        f"{axes} not compensated: the table corrects X, Y and Z, and holds for the positions of the other axes at "
+        "which it was measured"
     ]

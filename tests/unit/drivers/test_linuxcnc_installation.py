@@ -272,7 +272,7 @@ def test_other_kinematics_than_three_slides_are_refused(kinematics: str, tmp_pat
     machine = Machine(tmp_path)
     machine.ini.write_text(INI.replace("KINEMATICS = trivkins", f"KINEMATICS = {kinematics}"), encoding="utf-8")
     error = machine.refused("install", "--directory", "tables")
-    assert f"the kinematics {kinematics.split()[0]}" in str(error)
+    assert f"the kinematics {kinematics.split(maxsplit=1)[0]}" in str(error)
     assert "trivkins" in error.hint
 
 

@@ -251,6 +251,60 @@ def test_the_hint_after_a_tool_change() -> None:
         flat("T1 M6\nG81 X1 Z-1 R1")
 
 
+def test_levels_of_a_canned_cycle_belong_to_one_frame() -> None:
+    cycle = "G98 G0 X0 Y0 Z10\nG81 X1 Z-3 R2 F100"
+    for change in ("G20", "G18", "G92 Z5", "G43.1 Z3", "G10 L20 P1 Z1"):
+        with pytest.raises(FormatError, match="has changed during a canned cycle"):
+            flat(f"{cycle}\n{change}\nX2")
+        # After G80 the levels are those of the new block.
+        flat(f"{cycle}\nG80\n{change}\nG81 X2 Y-9 Z-9 R-8")
+
+
+def test_a_tool_length_is_no_canned_cycle() -> None:
+    blocks = flat("G61 G99 G0 X0 Y0 Z10\nG81 X1 Z-3 R2 F100\nG43.1 X4\nG80")
+    assert blocks[-2:] == ["G43.1 X4", "G80"]
+
+
+def test_pecks_return_to_r_and_reaming_feeds_to_r() -> None:
+    peck = flat("G61 G98 G0 X0 Y0 Z10\nG83 Z-2 R2 Q3 F100")
+    assert peck[-6:] == ["G0 Z2.000", "G1 Z-1.000", "G0 Z2.000", "G0 Z-0.746", "G1 Z-2.000", "G0 Z10.000"]
+    assert flat("G61 G98 G0 X0 Y0 Z10\nG85 Z-2 R2 F100")[-3:] == ["G1 Z-2.000", "G1 Z2.000", "G0 Z10.000"]
+
+
+@pytest.mark.parametrize(("retract", "last"), [("G98", "G0 Z10.000"), ("G99", "G0 Z2.000")])
+def test_the_level_to_which_a_cycle_returns_must_be_known(retract: str, last: str) -> None:
+    program = "G61 G0 X0 Y0 Z10\nG81 X1 Z-3 R2 F100"
+    with pytest.raises(FormatError, match="initial level or to R"):
+        flat(program)
+    assert flat(program, retract=retract)[-1] == last
+    other = "G98" if retract == "G99" else "G99"
+    assert flat(f"{retract}\nM70\n{other}\nM72\n{program}")[-1] == last
+    # Both are the same from R.
+    assert flat("G61 G0 X0 Y0 Z2\nG81 X1 Z-3 R2 F100")[-1] == "G0 Z2.000"
+
+
+def test_repeated_holes_at_a_polar_place_are_at_one_place() -> None:
+    blocks = flat("G61 G99 G0 X10 Y0 Z5\nG81 @-10 Z-1 R5 L2 F100")
+    assert [block for block in blocks if "X" in block] == ["G61 G99 G0 X10.000 Y0.000 Z5.000", "G0 X-10.000"]
+
+
+@pytest.mark.parametrize(
+    ("program", "reason"),
+    [
+        ("G91 G10 L2 P1 X5", "G10 L2 with G91"),
+        ("G64 P0.01 G99 G82 Z-1 R0 F100", "may belong to either"),
+    ],
+)
+def test_what_controllers_interpret_differently_is_refused(program: str, reason: str) -> None:
+    with pytest.raises(FormatError, match=reason):
+        flat(program)
+
+
+def test_a_tolerance_of_the_path_is_no_number_of_a_reference_point() -> None:
+    blocks = flat("G64 P0.01 G30 X1\nG0 X0\nG4 P#5420", reference_points={"G30": (7.0, 0.0, 0.0)})
+    assert blocks[-1] == "G4 P0"
+
+
 def test_saved_states_are_restored_with_plain_codes() -> None:
     program = """G21 G90 F100
 o1 sub
