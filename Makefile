@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup run test quick check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming foreign linuxcnc grbl gcode schema reference deb deb-test clean
+.PHONY: setup run test quick check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming foreign linuxcnc grbl gcode part-programs schema reference deb deb-test clean
 
 setup: $(STAMP)
 
@@ -94,6 +94,12 @@ grbl: setup
 # A million lines of a part program corrected: seconds, memory, and the ratio to one block at a time.
 gcode: setup
 	$(BIN)/python -m benchmarks.gcode
+
+# Random part programs, corrected and executed by the interpreter of LinuxCNC beside the original. Half an hour on two
+# cores; ends with one line of JSON.
+part-programs: setup
+	.ci/install linuxcnc-uspace
+	$(BIN)/python -m campaigns.part_programs --count 20000 --workers 2
 
 # A stock LinuxCNC, accelerated, in namespaces of its own, calibrated end to end by the real command; ends with one line
 # of JSON. SHORT=--short: one station, few positions.

@@ -217,7 +217,10 @@ def _notes_on_kinematics(ini: IniFile, texts: list[tuple[str, str]]) -> list[str
         [] if section is None else [entry for entry in ini.entries(section) if entry[1] == "KINEMATICS" and entry[2]]
     )
     in_ini = [NamedKinematics(value, str(ini.path), index + 1) for index, _, value in named[:1]]
-    return [note for kinematics in (*in_ini, *loaded_kinematics(texts)) for note in notes_on(kinematics)]
+    found = [*in_ini, *loaded_kinematics(texts)]
+    if not found:
+        return ["the kinematics are not named in the INI file or its HAL files: only three slides can be compensated"]
+    return [note for kinematics in found for note in notes_on(kinematics)]
 
 
 def _still_to_do(ini: IniFile, made: dict[str, Link], probe_pin: str | None) -> list[str]:

@@ -301,5 +301,11 @@ def test_what_is_compensated_on_a_machine_with_more_than_three_slides(
     assert note in machine.install()
 
 
+def test_kinematics_that_are_not_named_are_noted(tmp_path: Path) -> None:
+    machine = Machine(tmp_path)
+    machine.ini.write_text(INI.replace("KINEMATICS = trivkins", ""), encoding="utf-8")
+    assert "the kinematics are not named" in machine.install()
+
+
 def test_three_slides_need_no_note_about_kinematics(tmp_path: Path) -> None:
     assert "compensated" not in Machine(tmp_path).install()
