@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from gcode.flattening.canned_cycles import CannedCycles
+from gcode.flattening.canned_cycles import CannedCycles, cartesian
 from gcode.flattening.control_flow import (
     END_OF_DO,
     PROGRAM_NUMBER,
@@ -21,7 +21,6 @@ from gcode.flattening.control_flow import (
 )
 from gcode.flattening.expressions import ExpressionReader
 from gcode.flattening.parameters import LOCAL_NUMBERS, ProgramParameters
-from gcode.flattening.polar import cartesian
 from gcode.flattening.saved_state import (
     INVALIDATE,
     SAVE,
