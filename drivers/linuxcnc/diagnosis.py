@@ -9,6 +9,7 @@ from drivers.errors import VolcalError
 from drivers.linuxcnc.compensation import LinuxCncStore
 from drivers.linuxcnc.session import XYZ, LinuxCncSession
 from drivers.linuxcnc.snapshot import Snapshot
+from drivers.linuxcnc.version import version_finding
 from drivers.roles import DiagnosticFinding
 
 LATENCY_READS = 50
@@ -49,6 +50,7 @@ def _findings(session: LinuxCncSession) -> Iterator[DiagnosticFinding]:
     yield DiagnosticFinding(
         "bridge", ok=True, text=f"LinuxCNC {hello['version']}, {session.properties.machine_name}, {hello['ini']}"
     )
+    yield version_finding(hello["version"])
     yield _heartbeats(hello["watched"])
     first = session.read_snapshot()
     yield _latency(session, first)
