@@ -24,15 +24,15 @@ def version_finding(version: str) -> DiagnosticFinding:
         return DiagnosticFinding("version", ok=False, text=text)
     if release > _SUPPORTED:
         text = (
-            f"{name} is newer than 2.9, with which volcal was tried: its HAL interface has changed. Build the components"
-            " anew, and touch one ball with `volcal try` before anything else"
+            f"{name} is newer than 2.9, with which volcal was tried: its HAL interface has changed. Build the "
+            "components anew, and touch one ball with `volcal try` before anything else"
         )
         return DiagnosticFinding("version", ok=None, text=text)
     if int(numbers[3] or 0) < _PROBING_MENDED:
         text = (
-            f"{name}: motion, probing and compensation. A contact that bounces while the axes brake ends a touch with "
-            "'Probe tripped during non-probe move' (2.9.5 permits it): upgrade, or hold the signal of the probe in HAL "
-            "for longer than it bounces, with its first edge passed on at once"
+            f"{name}: motion, probing and compensation. If touches end with 'Probe tripped during non-probe move', the "
+            "contact bounces while the axes brake, which releases before 2.9.5 may take for a collision: upgrade, or "
+            "hold the signal of the probe in HAL for longer than it bounces, with its first edge passed on at once"
         )
         return DiagnosticFinding("version", ok=True, text=text)
     return DiagnosticFinding("version", ok=True, text=f"{name}: motion, probing and compensation")

@@ -343,8 +343,8 @@ class TestDoctor:
         ("version", "ok", "text"),
         [
             ("2.8.4", False, "older than 2.9"),
-            ("2.9.0~pre1", True, "A contact that bounces"),
-            ("2.9.4", True, "2.9.5 permits it"),
+            ("2.9.0~pre1", True, "the contact bounces"),
+            ("2.9.4", True, "releases before 2.9.5"),
             ("2.9.5", True, "LinuxCNC 2.9.5: motion, probing and compensation"),
             ("2.10.0~pre0", None, "its HAL interface has changed"),
             ("master", None, "is no release"),
