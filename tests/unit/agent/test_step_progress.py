@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+from agent.execution.rig import Rig
 from agent.execution.run_state import RunStateTracker
 from agent.execution.steps import Dwell
 from agent.runs.step_progress import StepProgress
@@ -44,3 +45,9 @@ def test_an_impaired_device_is_noted_when_it_begins_and_when_it_ends() -> None:
         ("mount", "no heartbeat of node 5; the run goes on"),
         ("mount", "no longer: no heartbeat of node 5"),
     ]
+
+
+def test_a_rig_asks_only_the_devices_that_can_say_what_is_impaired() -> None:
+    mount = SimpleNamespace(impairments=lambda: ["no heartbeat of node 5"])
+    rig = SimpleNamespace(devices={"cnc": SimpleNamespace(), "mount": mount})
+    assert Rig.impairments(rig) == {"mount": ["no heartbeat of node 5"]}  # type: ignore[arg-type]

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from gcode.correction import correct_program
 from gcode.flattening import flattener
 from gcode.setup import CorrectionOptions, PartSetup
+from gcode.setup_file import parse_part_setup
 from twin.compensation.table import Anchor, CompensationTable, regular_nodes
 from twin.errors import FormatError
 
@@ -281,6 +282,13 @@ def test_the_level_to_which_a_cycle_returns_must_be_known(retract: str, last: st
     assert flat(f"{retract}\nM70\n{other}\nM72\n{program}")[-1] == last
     # Both are the same from R.
     assert flat("G61 G0 X0 Y0 Z2\nG81 X1 Z-3 R2 F100")[-1] == "G0 Z2.000"
+
+
+def test_the_setup_file_states_the_level_to_which_cycles_return() -> None:
+    assert parse_part_setup('retract = "G99"', "setup.toml").retract == "G99"
+    assert parse_part_setup("", "setup.toml").retract is None
+    with pytest.raises(FormatError, match="retract"):
+        parse_part_setup('retract = "G97"', "setup.toml")
 
 
 def test_repeated_holes_at_a_polar_place_are_at_one_place() -> None:
