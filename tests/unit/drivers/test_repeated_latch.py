@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.errors import ProtocolError
+from drivers.linuxcnc.device import LinuxCncProbing
+from drivers.linuxcnc.settings import LinuxCncSettings
 from drivers.repeated_latch import MOST_REPEATS, RepeatedLatch
+from drivers.roles import Touch
 
 START, TARGET = (100.0, 200.0, 300.0), (100.0, 210.0, 300.0)
 OLD = (100.0, 204.00012, 300.0)
@@ -52,3 +58,23 @@ def test_touches_that_scatter_are_never_complained_about(seed: int) -> None:
     for _ in range(200):
         y = round(204.00005 + 0.00025 * scatter.standard_normal(), 4)
         assert latches.complaint((100.0, y, 300.0), START, TARGET) == ""
+
+
+def test_the_driver_of_linuxcnc_refuses_an_old_value() -> None:
+    snapshot = SimpleNamespace(tool=0, tripped=True, probed=OLD, feed_override=1.0)
+    limits = SimpleNamespace(rapid_mm_per_s=(100.0,) * 3, acceleration_mm_per_s2=(500.0,) * 3)
+    session = SimpleNamespace(
+        settings=LinuxCncSettings(),
+        read_snapshot=lambda: snapshot,
+        probe_healthy=lambda _: True,
+        properties=SimpleNamespace(limits=limits, servo_period_s=1e-3),
+        where={"device": "cnc"},
+    )
+    motion = SimpleNamespace(run=lambda *_: SimpleNamespace(snapshot=snapshot, start=START))
+    probing = LinuxCncProbing(session, motion)  # type: ignore[arg-type]
+    for _ in range(MOST_REPEATS):
+        assert isinstance(probing.touch_towards(np.array(TARGET), 5.0), Touch)
+    with pytest.raises(ProtocolError, match="agree too well") as caught:
+        probing.touch_towards(np.array(TARGET), 5.0)
+    assert caught.value.where == {"device": "cnc"}
+    assert "debounce" in caught.value.hint
