@@ -26,8 +26,8 @@ PRINTED_MM = 0.5e-4
 """Half a step of the positions and offsets that rs274 prints in mm; in inches it is 25.4 times as large."""
 PRINTED_SUMMANDS = 4
 """Printed numbers of which an axis position is the sum: word, work offset, G92 offset and tool length."""
-SHORT_MM = 0.02
-"""Moves shorter than this may be left out of one of the two programs."""
+SHORT_MM = 0.0173
+"""Moves shorter than this may be left out of one of the two programs; no random length equals it."""
 DURATION_SHARE = 0.05
 MOST_REMOVED = 40
 
