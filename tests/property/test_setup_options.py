@@ -286,7 +286,8 @@ def test_a_value_that_no_file_can_contain_is_refused(tmp_path: Path, stated: Opt
 
 
 ARTEFACT_VALUES = (
-    "shape", "size", "balls", "tilt", "holder", "ball_diameter", "calibration", "certified_length", "length_uncertainty",
+    "shape", "size", "balls", "tilt", "holder", "ball_diameter", "calibration", "certified_length",
+    "length_uncertainty",
 )  # fmt: skip
 
 

@@ -192,12 +192,12 @@ class Answers:
         """Return the stated value, None if there is none."""
         return self[field] if self.states(field) else None
 
-    def refuse_stated(self, fields: Iterable[SetupField[Any]], reason: str, hint: str) -> None:
-        """Raise InputError, which names the option, if one of `fields` is stated although no file can contain its value.
-        `reason` says why, and completes the sentence that begins with the option."""
-        for field in fields:
-            if self.states(field):
-                raise InputError(f"{field.flag} {reason}", hint=hint, option=field.flag)
+    def refuse_stated(self, unused: Iterable[SetupField[Any]], reason: str, hint: str) -> None:
+        """Raise InputError, which names the option, if one of the `unused` fields, of which no file can contain the
+        value, is stated. `reason` completes the sentence that begins with the option."""
+        for one in unused:
+            if self.states(one):
+                raise InputError(f"{one.flag} {reason}", hint=hint, option=one.flag)
 
     def _resolved(self, field: SetupField[Answer]) -> tuple[Answer, str]:
         """Return a value and its origin."""

@@ -365,7 +365,8 @@ MOUNT_AT = SetupField(
     flag="--mount-at", step=MOUNT, kind=TRIPLE, meaning=_triple,
     en="Place of the mount at station 1 in the workpiece frame in mm",
     de="Ort der Aufnahme an Station 1 im Werkstücksystem in mm",
-    option="Place of the mount at station 1, workpiece frame, in mm.", shown=lambda setup: _shortly(setup.stations.places_mm[0]),
+    option="Place of the mount at station 1, workpiece frame, in mm.",
+    shown=lambda setup: _shortly(setup.stations.places_mm[0]),
 )  # fmt: skip
 SHAFT = SetupField(
     flag="--shaft", step=MOUNT, kind=NUMBER, meaning=float, lowest=0,

@@ -8,9 +8,9 @@ from pathlib import Path
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job, reached_balls
 from agent.planning.new_machine.artefact_text import artefact_text
-from agent.planning.new_machine.machine_text import machine_text
 from agent.planning.new_machine.fields import MOUNT_AT
 from agent.planning.new_machine.machine_setup import STATED
+from agent.planning.new_machine.machine_text import machine_text
 from agent.planning.new_machine.new_setup import (
     ARTEFACT_FILE,
     LAST_EFFORT,
@@ -51,7 +51,7 @@ def checked_files(setup: NewSetup, directory: Path) -> tuple[Mapping[str, str], 
 
 
 def _refuse_stated_place(setup: NewSetup, job: Job, positions: Sequence[Position]) -> None:
-    """Raise InputError if none of `positions` can be measured at the place where a person said that the mount stands."""
+    """Raise InputError if none of `positions` can be measured at the stated place of the mount."""
     here = [position for position in positions if position.station == 1]
     if not here or setup.stations.origins["places_mm"] != STATED:
         return

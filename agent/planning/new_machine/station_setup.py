@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -177,7 +178,7 @@ def _around(stated: float, first: float, last: float, count: int) -> list[float]
         lower = np.linspace(first, stated, below + 1)[:-1].tolist()
         upper = np.linspace(stated, last, count - below + 1)[1:].tolist()
         places = sorted((stated, *lower, *upper))
-        gaps = [0.5 * (after - before) for before, after in zip(places, places[1:], strict=False)]
+        gaps = [0.5 * (after - before) for before, after in pairwise(places)]
         return max(places[0] - first, last - places[-1], *gaps), [*lower, *upper]
 
     if not first < stated < last:
