@@ -169,7 +169,9 @@ def _closing_lines(files: NewFiles, commands: Sequence[str]) -> list[str]:
     """Return the lines that say what to do with the files of a machine."""
     line = " && ".join(commands)
     if not files.ready:
-        return [f"next: correct {SETTINGS_FILE} as the error says, or state other options and add --force; then: {line}"]
+        return [
+            f"next: correct {SETTINGS_FILE} as the error says, or state other options and add --force; then: {line}"
+        ]
     if files.setup.controller.is_simulated:
         return [f"next: {line}"]
     return [

@@ -1,8 +1,8 @@
 """Plausible ranges of all lengths, masses and times of the settings file, the machine file and the artefact file.
 
-The files themselves refuse only what is impossible. A value outside its plausible range is possible but probably has the
-wrong unit or a wrong decimal point, and causes a warning. A value of 0 says that something is absent or switched off, and
-is always plausible.
+The files themselves refuse only what is impossible. A value outside its plausible range is possible but probably has
+the wrong unit or a wrong decimal point, and causes a warning. A value of 0 says that something is absent or switched
+off, and is always plausible.
 """
 
 from __future__ import annotations
