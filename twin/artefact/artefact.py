@@ -15,6 +15,7 @@ import numpy as np
 
 from twin.arrays import Array, as_points
 from twin.artefact.artefact_body import ArtefactBody, Rod, vector
+from twin.display import Displayed
 from twin.errors import DataError
 from twin.immutable import Immutable
 from twin.units import REFERENCE_TEMPERATURE_C
@@ -23,7 +24,7 @@ STEEL_CTE_PER_K = 11.5e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Artefact(Immutable):
+class Artefact(Displayed, Immutable):
     """Calibrated ball artefact with N balls.
 
     - `balls` (N, 3) contains the ball centres in mm at the reference temperature, without gravity sag.
@@ -49,6 +50,9 @@ class Artefact(Immutable):
     members: tuple[int, ...] = ()
     uncertified: tuple[int, ...] = ()
     body: ArtefactBody = field(default_factory=ArtefactBody)
+
+    def __repr__(self) -> str:
+        return f"<Artefact: {self.name!r}, {self.count} balls of {self.ball_diameter_mm:g} mm>"
 
     def __post_init__(self) -> None:
         balls = as_points(self.balls, "balls of the artefact")
