@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup run test quick check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming foreign linuxcnc grbl gcode schema reference deb deb-test clean
+.PHONY: setup run test quick check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming foreign linuxcnc grbl gcode schema reference figures deb deb-test clean
 
 setup: $(STAMP)
 
@@ -110,6 +110,10 @@ schema: setup
 # The reference page of the Python library, from its docstrings.
 reference: setup
 	$(BIN)/python -m volcal.reference > docs/reference/python-api.md
+
+# Figures in the tutorial and the guides, from the runs that they describe; a test compares them.
+figures: setup
+	$(BIN)/python -m campaigns.page_figures
 
 # The Debian package, for the Debian and the Python that this computer has: dist/volcal_*.deb
 deb: setup
