@@ -25,6 +25,8 @@ if will_run():
     from agent.planning.new_machine.spindle import spindle_name
     from agent.results.gate_forecast import require_forecast
     from agent.runs.new_machine_files import PREVIEW, NewFiles, prepare_files, refuse_existing
+    from agent.settings.load import read_settings
+    from agent.settings.plausible_ranges import implausible_values
     from drivers.errors import InputError
 
 Answer = TypeVar("Answer")
@@ -109,6 +111,9 @@ def _ask_here(directory: Path, typed: Mapping[str, Any], *, interactive: bool) -
             for note in answers.notes:
                 click.echo(f"note: {note}", err=True)
         files.write(directory)
+        settings = directory / SETTINGS_FILE
+        for warning in implausible_values(read_settings(settings), settings):
+            click.echo(f"warning: {warning}", err=True)
         preview = files.draw(directory / PREVIEW)
     return files, {**files.document(directory), "preview": [str(path) for path in preview]}
 
