@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup run test quick check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming foreign linuxcnc grbl gcode schema reference deb deb-test clean
+.PHONY: setup run test quick check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming foreign linuxcnc grbl gcode part-programs schema reference figures deb deb-test clean
 
 setup: $(STAMP)
 
@@ -95,6 +95,12 @@ grbl: setup
 gcode: setup
 	$(BIN)/python -m benchmarks.gcode
 
+# Random part programs, corrected and executed by the interpreter of LinuxCNC beside the original. Half an hour on two
+# cores; ends with one line of JSON.
+part-programs: setup
+	.ci/install linuxcnc-uspace
+	$(BIN)/python -m campaigns.part_programs --count 20000 --workers 2
+
 # A stock LinuxCNC, accelerated, in namespaces of its own, calibrated end to end by the real command; ends with one line
 # of JSON. SHORT=--short: one station, few positions.
 SPEED ?= 10
@@ -110,6 +116,10 @@ schema: setup
 # The reference page of the Python library, from its docstrings.
 reference: setup
 	$(BIN)/python -m volcal.reference > docs/reference/python-api.md
+
+# Figures in the tutorial and the guides, from the runs that they describe; a test compares them.
+figures: setup
+	$(BIN)/python -m campaigns.page_figures
 
 # The Debian package, for the Debian and the Python that this computer has: dist/volcal_*.deb
 deb: setup

@@ -3,6 +3,8 @@
 ::
 
     VolcalError (drivers/errors.py)
+    ├── UserError (drivers/errors.py)
+    │   └── NotAllowedInState     the service cannot carry out the request in its present state
     └── RunError                  decision of the run itself                          exit code 4
         ├── PlanRefused           the preflight found a violated limit, a collision or an unreachable ball
         ├── GateRefused           the estimate must not become a table
@@ -16,13 +18,17 @@
         ├── Aborted               a person requested the abort                        exit code 5
         └── Interrupted           the program had to end; the run can be resumed      exit code 5
 
-The branches for wrong input (`UserError`) and for errors of devices (`DeviceError`) are in `drivers/errors.py`, because
-drivers and simulators raise these errors too.
+The other branches for wrong input (`UserError`) and for errors of devices (`DeviceError`) are in `drivers/errors.py`,
+because drivers and simulators raise these errors too.
 """
 
 from __future__ import annotations
 
-from drivers.errors import VolcalError
+from drivers.errors import UserError, VolcalError
+
+
+class NotAllowedInState(UserError):
+    pass
 
 
 class RunError(VolcalError):

@@ -200,6 +200,15 @@ class RestorableLink(Protocol):
 
 
 @runtime_checkable
+class ImpairableDevice(Protocol):
+    """Device that still works although a part of its monitoring is impaired, and says so."""
+
+    def impairments(self) -> list[str]:
+        """Return what is impaired at present, one text for each; an empty list if nothing is. Sends nothing."""
+        ...
+
+
+@runtime_checkable
 class Probe(Protocol):
     """Touch-trigger probe in the spindle."""
 

@@ -8,11 +8,13 @@ from __future__ import annotations
 import math
 
 from gcode.codes import AXIS_LETTERS
-from gcode.modal import UNKNOWN, ModalState
+from gcode.modal import UNKNOWN, XY_PLANE, ModalState
+from gcode.polar import POLAR, polar_end
 from gcode.setup import NO_OFFSET, SYSTEMS, Triple
 from gcode.words import Block
 from gcode.writer import ProgramWriter
 
+_BLENDING = 640
 _NO_POSITION = "its position at that point is not known"
 
 
@@ -41,12 +43,32 @@ def target_position(block: Block, modal: ModalState, machine: bool) -> Triple:
         base: Triple | list[float] = NO_OFFSET
     else:
         base = program_zero(block, modal) if modal.absolute else position
+    if not POLAR.isdisjoint(values):
+        return _polar_target(block, modal, machine)
     x, y, z = values.get("X"), values.get("Y"), values.get("Z")
     return (
         position[0] if x is None else x * unit + base[0],
         position[1] if y is None else y * unit + base[1],
         position[2] if z is None else z * unit + base[2],
     )
+
+
+def _polar_target(block: Block, modal: ModalState, machine: bool) -> Triple:
+    values, unit, position = block.values, modal.unit_mm, modal.position
+    if machine:
+        block.refuse("polar coordinates count from the zero point of the program, so G53 cannot use them")
+    if "X" in values or "Y" in values:
+        block.refuse("X or Y together with polar coordinates")
+    if modal.plane != XY_PLANE:
+        block.refuse("polar coordinates need G17")
+    zero = program_zero(block, modal)
+    if not modal.position_known:
+        block.refuse("the position of the axes at this line is not known", modal.start_hint)
+    x, y = ((position[axis] - zero[axis]) / unit for axis in (0, 1))
+    end_x, end_y = polar_end(x, y, values.get("@"), values.get("^"), absolute=modal.absolute, source=block.source)
+    z = values.get("Z")
+    end_z = position[2] if z is None else z * unit + (zero if modal.absolute else position)[2]
+    return end_x * unit + zero[0], end_y * unit + zero[1], end_z
 
 
 def set_datum(block: Block, code: int, modal: ModalState, writer: ProgramWriter) -> None:
@@ -112,7 +134,7 @@ def go_to_reference(block: Block, name: str, modal: ModalState, writer: ProgramW
         writer.write_unchanged(block.text)
     intended, stored = modal.references.get(name, (UNKNOWN, UNKNOWN))
     # G30 P3 and P4 are further reference points of some controllers; where they are is not known.
-    if block.values.get("P", 2.0) != 2.0:
+    if block.values.get("P", 2.0) != 2.0 and _BLENDING not in block.g:
         intended = stored = UNKNOWN
     for axis in axes or range(3):
         modal.position[axis], writer.position[axis] = intended[axis], stored[axis]
@@ -143,6 +165,9 @@ def set_work_offset(block: Block, modal: ModalState, writer: ProgramWriter) -> N
         block.refuse(message, "Set the other offsets before the program and give them to this command")
     if number is None or not (number.is_integer() and 0.0 <= number <= len(SYSTEMS)):
         block.refuse(f"G10 needs the number of the work offset, P0 to P{len(SYSTEMS)}")
+    if kind == 2.0 and not modal.absolute:
+        message = "G10 L2 with G91 adds to the offset on some controllers and replaces it on others"
+        block.refuse(message, "Write it with G90")
     writer.flush()
     # P0 is the coordinate system in effect.
     name = SYSTEMS[int(number) - 1] if number else modal.system
@@ -152,9 +177,7 @@ def set_work_offset(block: Block, modal: ModalState, writer: ProgramWriter) -> N
     for axis in axes_in_block(block):
         value_mm = block.values[AXIS_LETTERS[axis]] * modal.unit_mm
         if kind == 2.0:
-            # With G91, L2 adds to the offset.
-            intended[axis] = value_mm + (0.0 if modal.absolute else intended[axis])
-            written[axis] = value_mm + (0.0 if modal.absolute else written[axis])
+            intended[axis] = written[axis] = value_mm
             continue
         if math.isnan(modal.position[axis]):
             block.refuse(f"G10 L20 sets coordinates of {AXIS_LETTERS[axis]}, but {_NO_POSITION}", modal.start_hint)

@@ -25,6 +25,7 @@ from gcode.codes import (
 )
 from gcode.lines import MoveBlock
 from gcode.modal import INVERSE_TIME, MACHINE_FRAME, MM_PER_INCH, SYSTEM_CODES, ModalState
+from gcode.polar import POLAR
 from gcode.setup import NO_OFFSET, CorrectionOptions, PartSetup, Triple
 from gcode.source import SourceLine
 from gcode.words import Block, code_number, is_program_number, read_block, read_plain
@@ -33,7 +34,7 @@ from gcode.writer import ProgramWriter
 MARK = "volcal gcode correct"
 """Text in a comment of every corrected program, by which a second correction of the same program is refused."""
 
-_AXES = frozenset("XYZ")
+_AXES = frozenset("XYZ") | POLAR
 _ARC = frozenset("IJKR")
 _GEOMETRY = _AXES | _ARC
 _ONCE = frozenset("FSTHD")
@@ -226,6 +227,8 @@ class Interpreter:
         named = _AXES.intersection(block.values)
         if stated and not (stated == [0] and code in _REFERENCES):
             block.refuse("two G codes use the axis words", "Write two blocks")
+        if not POLAR.isdisjoint(named):
+            block.refuse("polar coordinates together with a code that uses the axis words", "Write two blocks")
         # G4 X is a dwell time on Fanuc-like controllers. With P as well, some controllers would read X as a move.
         if code == _DWELL and named and (named != {"X"} or "P" in block.values):
             block.refuse("a dwell with axis words is a move on some controllers", "Write two blocks")
@@ -328,7 +331,8 @@ class Interpreter:
         if timed and not inverse > 0.0:
             block.refuse("with G93 every move needs its own F", "Write the F word")
         comment = f" {block.comments}" if block.comments else ""
-        mask = ("X" in values) + 2 * ("Y" in values) + 4 * ("Z" in values)
+        polar = not POLAR.isdisjoint(values)
+        mask = (polar or "X" in values) + 2 * (polar or "Y" in values) + 4 * ("Z" in values)
         return MoveBlock(
             block.source, _WRITTEN[motion], coded, machine, mask, head, tail, stop, comment, inverse, whole
         )

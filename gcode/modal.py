@@ -9,6 +9,7 @@ from gcode.setup import NO_OFFSET, SYSTEMS, PartSetup, Triple
 
 MM_PER_INCH = 25.4
 INVERSE_TIME = 930
+XY_PLANE = 170
 
 UNKNOWN: Triple = (math.nan, math.nan, math.nan)
 

@@ -24,6 +24,8 @@ class PartSetup:
     - `tools` maps an H number to the length that G43 adds to the programmed position.
     - `g92` is the G92 offset that an earlier program has left in effect.
     - `start` is the position of the axes before the first line, or None if it is unknown.
+    - `retract` is the level to which canned cycles return before the program chooses one: G98 is the initial level, G99
+      is R. None means that it is not known.
     - `tool_change_moves` is True if M6 may move the axes.
     - `parameters` maps numbers (`100`) and names (`_depth`) of parameters to the values that they have in the
       controller before the program.
@@ -40,6 +42,7 @@ class PartSetup:
     arc_centres: Literal["G90.1", "G91.1"] = "G91.1"
     plane: Literal["G17", "G18", "G19"] = "G17"
     feed: Literal["G93", "G94", "G95"] = "G94"
+    retract: Literal["G98", "G99"] | None = None
     tool_change_moves: bool = True
     parameters: Mapping[str, float] = field(default_factory=dict)
 

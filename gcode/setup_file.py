@@ -33,6 +33,7 @@ class PartSetupFile(StrictModel):
     arc_centres: Literal["G90.1", "G91.1"] = "G91.1"
     plane: Literal["G17", "G18", "G19"] = "G17"
     feed: Literal["G93", "G94", "G95"] = "G94"
+    retract: Literal["G98", "G99"] | None = None
     tool_change: Literal["moves", "stays"] = "moves"
     parameters: dict[str, float] = Field(default_factory=dict)
 
@@ -55,6 +56,7 @@ def parse_part_setup(text: str, source: str) -> PartSetup:
         arc_centres=read.arc_centres,
         plane=read.plane,
         feed=read.feed,
+        retract=read.retract,
         tool_change_moves=read.tool_change == "moves",
         parameters=read.parameters,
     )

@@ -3,7 +3,8 @@
 Two words of LinuxCNC are passed on: the number of the spindle (`$0`), and a feed or speed that the controller reads
 from a signal (`F#<_hal[NAME]>`).
 
-A word is a letter followed by a decimal number (RS-274/NGC, NISTIR 6556, section 3.3). Computed numbers (expressions,
+A word is a letter followed by a decimal number (RS-274/NGC, NISTIR 6556, section 3.3); the `@` and `^` of polar
+coordinates count as letters. Computed numbers (expressions,
 parameters) and jumps (O-words) have been executed before, see `flattening`.
 """
 
@@ -17,7 +18,7 @@ from typing import NoReturn
 
 from gcode.source import SourceLine
 
-_WORD = re.compile(r"([A-Z]|(?<=.)\$)[ \t]*([-+]?(?:\d+\.?\d*|\.\d+)|(?<=[FS])#<_HAL\[[^\[\]<>]*\]>)|([^ \t])")
+_WORD = re.compile(r"([A-Z@^]|(?<=.)\$)[ \t]*([-+]?(?:\d+\.?\d*|\.\d+)|(?<=[FS])#<_HAL\[[^\[\]<>]*\]>)|([^ \t])")
 _NUMBER = r"([-+]?(?:\d+\.?\d*|\.\d+))"
 # The words in the order in which post-processors write them, each at most once and with at most one space behind.
 _PLAIN = re.compile(

@@ -9,6 +9,9 @@ measurement.
 Lengths are in mm unless a name says otherwise. Points are axis positions, given as arrays of shape (n, 3) for n points.
 No object can be modified after its construction. Terms are defined in docs/reference/glossary.md.
 
+A notebook shows the last value of a cell as a table with its figure. `frame` turns a value into a data frame of pandas,
+if that is installed. The version of the library is `volcal.__version__`.
+
 Modules are loaded on first use, and `import volcal` itself is therefore fast.
 """
 
@@ -46,6 +49,7 @@ if TYPE_CHECKING:
     from volcal.estimation import predict_unaligned as predict_unaligned
     from volcal.estimation import volumetric_errors as volumetric_errors
     from volcal.figures import error_map as error_map
+    from volcal.figures import table_map as table_map
     from volcal.files import read_artefact as read_artefact
     from volcal.files import read_balls as read_balls
     from volcal.files import read_estimate as read_estimate
@@ -57,6 +61,7 @@ if TYPE_CHECKING:
     from volcal.files import write_estimate as write_estimate
     from volcal.files import write_positions as write_positions
     from volcal.files import write_table as write_table
+    from volcal.frames import frame as frame
     from volcal.measuring_setup import MeasuringSetup as MeasuringSetup
     from volcal.measuring_setup import case_study as case_study
     from volcal.position_design import Design as Design
@@ -92,7 +97,8 @@ _MODULES = {
     "volcal.position_design": ("design", "evaluate", "Design"),
     "volcal.simulation": ("simulate", "Simulation"),
     "volcal.compensation": ("compensation_table", "export_table", "CONTROLLER_FORMATS"),
-    "volcal.figures": ("error_map",),
+    "volcal.figures": ("error_map", "table_map"),
+    "volcal.frames": ("frame",),
     "twin.machine.machine_description": ("MachineDescription",),
     "twin.artefact.artefact": ("Artefact",),
     "twin.artefact.position_set": ("Position",),
@@ -115,11 +121,20 @@ __all__ = list(_MODULE_OF)
 def __getattr__(name: str) -> Any:
     """Load and return the library's object `name` on first use. Raises AttributeError if the library has no such
     name."""
+    if name == "__version__":
+        return import_module("importlib.metadata").version("volcal")
     if name not in _MODULE_OF:
         raise AttributeError(f"module 'volcal' has no attribute '{name}'")
     value = getattr(import_module(_MODULE_OF[name]), name)
+    import_module("twin.display").render_with(_html_of)
     globals()[name] = value
     return value
+
+
+def _html_of(value: object) -> str | None:
+    """Return the HTML that a notebook shows for a value of the library."""
+    html: str | None = import_module("volcal.display").html_of(value)
+    return html
 
 
 def __dir__() -> list[str]:

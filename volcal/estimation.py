@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from twin.arrays import Array, as_points, as_vector
 from twin.artefact.artefact import Artefact
+from twin.display import Displayed
 from twin.errors import DataError
 from twin.formats.ball_file import BallFile
 from twin.formats.estimate_file import StoredEstimate
@@ -27,7 +28,7 @@ Order = int | Literal["evidence", "file"]
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
+class Prediction(Displayed):
     """Estimated error of the uncompensated machine at n axis positions, with its uncertainty.
 
     `points_mm`, shape (n, 3), contains the axis positions. `error_mm`, shape (n, 3), contains the deviations of the
@@ -43,6 +44,10 @@ class Prediction:
     error_mm: Array
     covariance_mm2: Array
     aligned: bool
+
+    def __repr__(self) -> str:
+        motion = "removed" if self.aligned else "included"
+        return f"<Prediction: error at {len(self.points_mm)} points, rigid motion {motion}>"
 
     @property
     def standard_uncertainty_mm(self) -> Array:
@@ -72,7 +77,7 @@ class RigidMotionUncertainty:
 
 
 @dataclass(frozen=True)
-class VolumetricErrors:
+class VolumetricErrors(Displayed):
     """Volumetric error before and after compensation.
 
     `before` is the estimated error of the uncompensated machine. `after` is the error that is expected if the machine
@@ -81,6 +86,10 @@ class VolumetricErrors:
 
     before: VolumetricRms
     after: VolumetricRms
+
+    def __repr__(self) -> str:
+        before, after = self.before.aligned_um, self.after.aligned_um
+        return f"<VolumetricErrors: {before:.2f} µm, expected {after:.2f} µm after compensation>"
 
 
 def identify(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.arrays import Array
+from twin.compensation.table import CompensationTable
 from twin.identification import Estimate, field_uncertainty
 from twin.machine.error_model import ErrorModel
 from twin.machine.volumetric import evaluation_grid
@@ -16,8 +17,9 @@ from volcal.estimation import aligned_error, tool_offset
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
+
+    from volcal.notebook_figure import NotebookFigure
 
 SHAPE = (61, 31)
 WIDTH_IN = 10.0
@@ -26,9 +28,9 @@ ROOM_IN = 1.6  # part of a figure's height for titles and labels
 
 def error_map(
     estimate: Estimate, *, heights_mm: Sequence[float] | None = None, tool_offset_mm: ArrayLike | None = None
-) -> Figure:
+) -> NotebookFigure:
     """Draw the estimated machine error and its uncertainty over XY planes of the workspace, and return the matplotlib
-    figure.
+    figure, which a notebook shows as a picture.
 
     The upper row shows the length of the estimated deviation in µm after the best rigid motion of the workspace has
     been removed. The lower row shows the predicted length of the deviation that remains after compensation.
@@ -39,7 +41,7 @@ def error_map(
     >>> [axes.get_title(loc="left") for axes in figure.axes[:3]]
     ['Z = 0 mm', 'Z = 750 mm', 'Z = 1500 mm']
     """
-    from matplotlib.figure import Figure  # noqa: PLC0415  slow to import, and needed for figures only
+    from volcal.notebook_figure import NotebookFigure  # noqa: PLC0415  slow to import, and needed for figures only
 
     model, offset = estimate.model, tool_offset(estimate, tool_offset_mm)
     heights = np.linspace(*model.ranges_mm[2], 3) if heights_mm is None else np.asarray(heights_mm, dtype=np.float64)
@@ -50,7 +52,7 @@ def error_map(
         ("estimated / µm", aligned_error(estimate, points, offset)),
         ("remaining / µm", field_uncertainty(estimate, points, offset, aligned_over=grid)),
     )
-    figure = Figure(figsize=(WIDTH_IN, _height_in(model, len(heights))), layout="constrained")
+    figure = NotebookFigure(figsize=(WIDTH_IN, _height_in(model, len(heights))), layout="constrained")
     panels = figure.subplots(2, len(heights), sharex=True, sharey=True, squeeze=False)
     for (label, field), row in zip(rows, panels, strict=True):
         lengths_um = 1e3 * np.linalg.norm(field, axis=1).reshape(len(heights), *SHAPE)
@@ -61,6 +63,35 @@ def error_map(
         axes.set_title(f"Z = {height:g} mm", loc="left", fontsize=10)
     for axes in panels[-1]:
         axes.set_xlabel("X / mm")
+    return figure
+
+
+def table_map(table: CompensationTable) -> NotebookFigure:
+    """Draw the length of the corrections of a compensation table in µm over its lowest, middle and highest XY plane of
+    nodes, and return the matplotlib figure. Nodes outside the measured region are marked by dots.
+
+    >>> figure = volcal.table_map(volcal.compensation_table(estimate, balls))
+    >>> [axes.get_title(loc="left") for axes in figure.axes[:3]]
+    ['Z = 0 mm', 'Z = 800 mm', 'Z = 1500 mm']
+    """
+    from volcal.notebook_figure import NotebookFigure  # noqa: PLC0415  slow to import, and needed for figures only
+
+    chosen = sorted({0, len(table.z) // 2, len(table.z) - 1})
+    lengths_um = 1e3 * np.linalg.norm(table.corrections, axis=3)
+    height_in = (WIDTH_IN - 1.5) / len(chosen) * float(np.ptp(table.y) / np.ptp(table.x)) + ROOM_IN
+    figure = NotebookFigure(figsize=(WIDTH_IN, height_in), layout="constrained")
+    (row,) = figure.subplots(1, len(chosen), sharex=True, sharey=True, squeeze=False)
+    for axes, index in zip(row, chosen, strict=True):
+        mesh = axes.pcolormesh(
+            table.x, table.y, lengths_um[:, :, index].T, vmin=0.0, vmax=float(lengths_um.max()), shading="nearest"
+        )
+        x, y = np.nonzero(table.extrapolated[:, :, index])
+        axes.plot(table.x[x], table.y[y], ".", color="white", markersize=1.5)
+        axes.set_aspect("equal")
+        axes.set_title(f"Z = {table.z[index]:g} mm", loc="left", fontsize=10)
+        axes.set_xlabel("X / mm")
+    row[0].set_ylabel("Y / mm")
+    figure.colorbar(mesh, ax=list(row), label="correction / µm", pad=0.01, aspect=12)
     return figure
 
 

@@ -17,6 +17,7 @@ from twin.collision.measuring_layout import MeasuringLayout
 from twin.collision.probe_frame import ProbeFrame
 from twin.collision.probe_geometry import ProbeGeometry
 from twin.design.procedure import Procedure
+from twin.display import Displayed
 from twin.errors import DataError
 from twin.machine.machine_description import MachineDescription
 from volcal.files import read_artefact, read_machine, shipped_file
@@ -30,7 +31,7 @@ CASE_STUDY_STATIONS_MM = (
 
 
 @dataclass(frozen=True, eq=False)
-class MeasuringSetup:
+class MeasuringSetup(Displayed):
     """Set-up of a machine and an artefact on a mount at several stations. Each ball is touched five times.
 
     `stations_mm`, shape (S, 3), contains one point for each of S stations, starting with station 1. It is the point
@@ -54,6 +55,12 @@ class MeasuringSetup:
     clearance_mm: float = 8.0
     mount: MountGeometry = field(default_factory=MountGeometry)
     probe: ProbeGeometry = field(default_factory=ProbeGeometry)
+
+    def __repr__(self) -> str:
+        return (
+            f"<MeasuringSetup: machine {self.machine.name!r}, artefact {self.artefact.name!r}, "
+            f"{len(self.stations_mm)} stations>"
+        )
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "stations_mm", as_points(self.stations_mm, "stations"))

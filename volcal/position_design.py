@@ -16,13 +16,14 @@ from twin.design.measurement_setup import AS_STATED
 from twin.design.measuring_cost import MeasuringCosts
 from twin.design.search import ExchangeSearch
 from twin.design.valuation import Valuation, valuation
+from twin.display import Displayed
 from twin.errors import DataError
 from twin.machine.volumetric import evaluation_grid
 from volcal.measuring_setup import MeasuringSetup
 
 
 @dataclass(frozen=True, eq=False)
-class Design:
+class Design(Displayed):
     """Set of artefact positions, and the volumetric errors expected before and after compensation if this set is
     measured.
 
@@ -32,6 +33,12 @@ class Design:
 
     positions: tuple[Position, ...]
     valuation: Valuation
+
+    def __repr__(self) -> str:
+        return (
+            f"<Design: {len(self.positions)} positions, expected {self.valuation.before.aligned_um:.2f} µm, "
+            f"{self.valuation.after.aligned_um:.2f} µm after compensation>"
+        )
 
 
 def design(

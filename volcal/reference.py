@@ -39,6 +39,7 @@ SECTIONS = {
     "volcal.simulation": "Simulation",
     "volcal.compensation": "Compensation",
     "volcal.figures": "Figures",
+    "volcal.frames": "Data frames",
 }
 
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from twin.arrays import Array, as_points
 from twin.artefact.position_set import Position
+from twin.display import Displayed
 from twin.errors import DataError
 from twin.formats.ball_file import BallFile
 from twin.machine.true_machine import TrueMachine
@@ -20,13 +21,16 @@ DEFLECTIONS = (AS_MODELLED, *DEFLECTION_FORMS)
 
 
 @dataclass(frozen=True, eq=False)
-class Simulation:
+class Simulation(Displayed):
     """Result of a simulated measurement: the ball centres, and the true machine, which is unknown in a real
     measurement.
     """
 
     balls: BallFile
     true_machine: TrueMachine
+
+    def __repr__(self) -> str:
+        return f"<Simulation: {self.balls.observations.size} ball centres in {len(self.balls.positions)} positions>"
 
     def true_error(self, points_mm: ArrayLike) -> Array:
         """Return the true deviations of the tool centre point, shape (n, 3), at n axis positions, shape (n, 3), both in

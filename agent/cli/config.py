@@ -17,6 +17,7 @@ if will_run():
     from agent.planning.job_preparation import prepare_job
     from agent.results.gate_forecast import forecast_gates, require_forecast
     from agent.settings.load import load_settings, naming
+    from agent.settings.plausible_ranges import implausible_values
     from agent.settings.schema import Settings
 
 
@@ -29,11 +30,14 @@ def config_group() -> None:
 @click.argument("file", type=click.Path(path_type=Path))
 @reported
 def check(file: Path) -> None:
-    """Read the settings and every file they name, and forecast the gates; no device is contacted."""
+    """Read the settings and every file they name, warn of implausible values, and forecast the gates; no device is
+    contacted."""
     settings = load_settings(file)
     with naming(file):
         job = prepare_job(settings, file.resolve().parent)
         held_out, gates = job.held_out, forecast_gates(job)
+    for warning in implausible_values(settings, file):
+        click.echo(f"warning: {warning}", err=True)
     results_console().print(gates_table(gates))
     with naming(file):
         require_forecast(gates)

@@ -29,6 +29,7 @@ if will_run():
     from agent.planning.job import Job
     from agent.planning.job_preparation import prepare_job
     from agent.results.gate_forecast import GateForecast, forecast_gates, require_forecast
+    from agent.runs.reconcile import compensation_left
     from agent.settings.load import load_settings, naming
     from drivers.errors import DeviceError, VolcalError
     from drivers.roles import Device, DiagnosticFinding
@@ -88,9 +89,17 @@ def _while_open(rig: Rig, name: str, job: Job, diagnosis: Diagnosis) -> list[Dia
     roles = job.settings.roles
     if name == roles.store:
         diagnosis.store_limit_mm = rig.store.store_limits().max_correction_mm
-    if name != roles.machine:
-        return []
-    return list(compare_with_controller(rig.machine.limits(), job.machine, job.settings.procedure))
+    found = _compensation_findings(rig, job.settings.state_directory) if name == roles.store else []
+    if name == roles.machine:
+        found += compare_with_controller(rig.machine.limits(), job.machine, job.settings.procedure)
+    return found
+
+
+def _compensation_findings(rig: Rig, state_directory: Path) -> list[DiagnosticFinding]:
+    """Return the comparison of the active compensation with what the last run left, if there was a run. It is not good
+    if no new run may start."""
+    left = compensation_left(rig, state_directory)
+    return [] if left is None else [DiagnosticFinding("compensation", ok=not left.blocks_runs, text=left.text)]
 
 
 def _examined(device: Device, while_open: Callable[[], list[DiagnosticFinding]]) -> list[DiagnosticFinding]:

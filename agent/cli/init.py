@@ -6,7 +6,7 @@ import json
 import math
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -21,9 +21,12 @@ if will_run():
     from agent.cli.printing import facts_table, gates_table, results_console
     from agent.files import check_folder
     from agent.planning.new_machine.answers import SetupAnswers
+    from agent.planning.new_machine.new_setup import SETTINGS_FILE
     from agent.planning.new_machine.spindle import spindle_name
     from agent.results.gate_forecast import require_forecast
     from agent.runs.new_machine_files import PREVIEW, NewFiles, prepare_files, refuse_existing
+    from agent.settings.load import read_settings
+    from agent.settings.plausible_ranges import implausible_values
     from drivers.errors import InputError
 
 Answer = TypeVar("Answer")
@@ -108,6 +111,9 @@ def _ask_here(directory: Path, typed: Mapping[str, Any], *, interactive: bool) -
             for note in answers.notes:
                 click.echo(f"note: {note}", err=True)
         files.write(directory)
+        settings = directory / SETTINGS_FILE
+        for warning in implausible_values(read_settings(settings), settings):
+            click.echo(f"warning: {warning}", err=True)
         preview = files.draw(directory / PREVIEW)
     return files, {**files.document(directory), "preview": [str(path) for path in preview]}
 
@@ -160,4 +166,22 @@ def _show(files: NewFiles, document: Mapping[str, Any]) -> None:
     console.print(gates_table(files.forecasts))
     for path in (*document["files"], *document["preview"]):
         click.echo(path)
-    click.echo("next: " + " && ".join(document["next"]))
+    for line in _closing_lines(files, document["next"]):
+        click.echo(line)
+
+
+def _closing_lines(files: NewFiles, commands: Sequence[str]) -> list[str]:
+    """Return the lines that say what to do with the files of a machine."""
+    line = " && ".join(commands)
+    if not files.ready:
+        return [
+            f"next: correct {SETTINGS_FILE} as the error says, or state other options and add --force; then: {line}"
+        ]
+    if files.setup.controller.is_simulated:
+        return [f"next: {line}"]
+    return [
+        "before a run on the machine: docs/how-to/your-machine.md, step 4 (certificate, mount, a hand at the emergency "
+        "stop)",
+        f"next: {line}",
+        "then, if `volcal try` found everything as expected: volcal calibrate",
+    ]

@@ -6,18 +6,21 @@ import sys
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
-from rich.console import Console
+from rich.console import Console, Group
+from rich.constrain import Constrain
 from rich.table import Table
 
 from agent.figures.heading import subject
 from agent.results.travel_parts import TravelParts
 
 if TYPE_CHECKING:
-    from rich.console import JustifyMethod
+    from rich.console import JustifyMethod, RenderableType
 
     from agent.results.gate_forecast import GateForecast
     from twin.compensation.table import CompensationTable
 
+PAGE_WIDTH = 96
+"""Largest width in characters of a table of figures, also in a wider terminal and in a pipe."""
 UNLIMITED = 100_000
 """Width in characters of output to a pipe or file. It is so large that every line is written whole."""
 
@@ -59,15 +62,15 @@ def facts_table(rows: Iterable[tuple[str, str]], *, title: str | None = None) ->
     return table
 
 
-def gates_table(forecasts: Iterable[GateForecast]) -> Table:
-    """Return a table with the expected value and the limit of each gate of a run, and what to do if it is expected to
-    refuse the run."""
-    table = columns_table(("gate", "expected", "limit", "", "settings key", "remedy"), title="forecast of the gates")
+def gates_table(forecasts: Sequence[GateForecast]) -> RenderableType:
+    """Return a table with the expected value and the limit of each gate of a run, followed by what to do about each
+    gate that is expected to refuse the run. It is at most `PAGE_WIDTH` wide."""
+    table = columns_table(("gate", "expected", "limit", "", "settings key"), title="forecast of the gates")
     for forecast in forecasts:
         mark = "[green]pass[/green]" if forecast.passes else "[red]refuse[/red]"
-        expected = "no bound" if forecast.expected is None else f"{forecast.expected:.3g}"
-        table.add_row(forecast.gate, expected, f"{forecast.limit:.3g}", mark, forecast.key, forecast.remedy)
-    return table
+        table.add_row(forecast.gate, forecast.expected_text, forecast.limit_text, mark, forecast.key)
+    remedies = facts_table((one.gate, one.remedy) for one in forecasts if one.remedy)
+    return Constrain(Group(table, remedies) if remedies.row_count else table, PAGE_WIDTH)
 
 
 def table_subject(table: CompensationTable) -> str:

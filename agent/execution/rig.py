@@ -32,6 +32,7 @@ from drivers.roles import (
     Activation,
     CompensationStore,
     Device,
+    ImpairableDevice,
     Machine,
     Miss,
     MotionState,
@@ -130,6 +131,10 @@ class Rig:
                 with suppress(DeviceError):  # a count must not end a run, nor hide the error that has ended it
                     found[name] = one.interruptions()
         return found
+
+    def impairments(self) -> dict[str, list[str]]:
+        """Return what is impaired at present in each device that says so, by device name."""
+        return {name: one.impairments() for name, one in self.devices.items() if isinstance(one, ImpairableDevice)}
 
     def await_standstill(self) -> None:
         """Wait until the axes of the machine stand still.

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from agent.errors import ForecastRefused
+from agent.figures.numbers import significant
 from agent.files import translated
 from agent.planning.job import Job
 from agent.results.estimation import table_grid
@@ -66,7 +67,8 @@ class GateForecast:
     """Expected result of one gate of a run.
 
     `key` is the settings key of the limit. `expected` is the value expected for a machine of the prior population, in
-    the unit that `text` states; it is None if it is not finite. `remedy` says what to do if the gate is expected to
+    the unit that `text` states; it is None if it is not finite. `comparison` is the sign ≤ or ≥ between the value and
+    the limit of a gate that is passed. `remedy` says what to do if the gate is expected to
     refuse the run (`passes` is False), and is empty otherwise.
     """
 
@@ -77,18 +79,28 @@ class GateForecast:
     passes: bool
     text: str
     remedy: str
+    comparison: str
 
     @classmethod
     def of(cls, gate: Gate) -> GateForecast:
         finite = gate.value if math.isfinite(gate.value) else None
         rule = GATE_RULES[gate.name]
         remedy = "" if gate.passed else rule.remedy
-        return cls(gate.name, rule.key, finite, gate.limit, gate.passed, gate.text, remedy)
+        return cls(gate.name, rule.key, finite, gate.limit, gate.passed, gate.text, remedy, rule.sign)
 
     @property
     def figures(self) -> str:
         """Expected value and limit as a text."""
-        return f"{'no bound' if self.expected is None else f'{self.expected:.3g}'} against {self.limit:.3g}"
+        return f"{self.expected_text}, required {self.limit_text}"
+
+    @property
+    def expected_text(self) -> str:
+        return "no bound" if self.expected is None else significant(self.expected)
+
+    @property
+    def limit_text(self) -> str:
+        """Limit with the sign of its comparison."""
+        return f"{self.comparison} {significant(self.limit)}"
 
     def as_json(self) -> dict[str, object]:
         """Return the forecast as the JSON object that docs/reference/json.md describes."""

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from agent.errors import GateRefused
+from agent.figures.numbers import significant
 from agent.model_files import load_machine
 from agent.results.table_replacement import ExpectedGain
 from agent.results.travel_parts import TravelParts
@@ -59,10 +60,19 @@ PROBE, PROOF, PROOF_FIT = "probe", "proof", "proof fit"
 
 @dataclass(frozen=True)
 class GateRule:
-    """Settings key of the limit of a gate, and what to do if a run is expected not to pass it."""
+    """Settings key of the limit of a gate, and what to do if a run is expected not to pass it.
+
+    `at_least` is True if the value must reach the limit, False if it must not exceed it.
+    """
 
     key: str
     remedy: str
+    at_least: bool = False
+
+    @property
+    def sign(self) -> str:
+        """Sign between the value and the limit of a gate that is passed."""
+        return "≥" if self.at_least else "≤"
 
 
 _MORE = "measure more positions (`procedure.position_set`, `procedure.stations`; `volcal rank` says which help)"
@@ -75,15 +85,17 @@ GATE_RULES: Mapping[str, GateRule] = {
         "set it to twice `procedure.touch_sigma_um` or more, or state there how well the probe repeats",
     ),
     FIT: GateRule("gates.max_chi2", _EXPECTED_CHI2),
-    "redundancy": GateRule("gates.min_degrees_of_freedom", f"{_MORE}, or lower the limit"),
+    "redundancy": GateRule("gates.min_degrees_of_freedom", f"{_MORE}, or lower the limit", at_least=True),
     CERTIFICATE: GateRule(
         "gates.max_certificate_sigma", "raise the limit; the largest of several right balls reaches this value"
     ),
-    STEP: GateRule("gates.step_false_alarm", "lower the limit, which is a probability"),
-    PATTERN: GateRule("gates.pattern_false_alarm", "lower the limit, which is a probability"),
-    COMMON_SCALE: GateRule("gates.common_scale_false_alarm", "lower the limit, which is a probability"),
+    STEP: GateRule("gates.step_false_alarm", "lower the limit, which is a probability", at_least=True),
+    PATTERN: GateRule("gates.pattern_false_alarm", "lower the limit, which is a probability", at_least=True),
+    COMMON_SCALE: GateRule("gates.common_scale_false_alarm", "lower the limit, which is a probability", at_least=True),
     CHANGE: GateRule("gates.max_change", "raise the limit; an unchanged machine reaches this value"),
-    NIGHT: GateRule("gates.night_false_alarm", "lower the limit; a night that fits reaches this probability"),
+    NIGHT: GateRule(
+        "gates.night_false_alarm", "lower the limit; a night that fits reaches this probability", at_least=True
+    ),
     "correction": GateRule("gates.max_correction_um", _FAMILY),
     "slope": GateRule("gates.max_slope_um_per_mm", _FAMILY),
     "extrapolation": GateRule(
@@ -94,11 +106,14 @@ GATE_RULES: Mapping[str, GateRule] = {
         "gates.max_unmeasured_fraction",
         f"{_MORE}, narrow `axes.*.range_mm` in the machine file, or raise the limit",
     ),
-    "gain": GateRule("verification.min_gain", f"{_MORE}, or lower the limit; a run would keep the active compensation"),
+    "gain": GateRule(
+        "verification.min_gain", f"{_MORE}, or lower the limit; a run would keep the active compensation", at_least=True
+    ),
     PROOF: GateRule(
         "verification.positions",
         "hold out more positions, or touch each ball more often (`procedure.touches_per_ball`); a run would keep the "
         "active compensation",
+        at_least=True,
     ),
     PROOF_FIT: GateRule("verification.max_chi2", _EXPECTED_CHI2),
 }
@@ -139,6 +154,11 @@ class Gate:
     value: float
     limit: float
     text: str
+
+    @property
+    def figures(self) -> str:
+        """Value and limit as a text."""
+        return f"{significant(self.value)}, required {GATE_RULES[self.name].sign} {significant(self.limit)}"
 
 
 def estimate_gates(estimate: Estimate, limits: GateSettings) -> tuple[Gate, ...]:
@@ -388,7 +408,7 @@ def names_of_failed(gates: Sequence[Gate]) -> tuple[str, ...]:
 def reasons(gates: Sequence[Gate]) -> str:
     """Return a text that names every one of `gates` that was not passed, with its value and its limit."""
     return "; ".join(
-        f"gate {gate.name}: {gate.value:.3g} against {gate.limit:.3g} ({GATE_RULES[gate.name].key}; {gate.text})"
+        f"gate {gate.name}: {gate.figures} ({GATE_RULES[gate.name].key}; {gate.text})"
         for gate in gates
         if not gate.passed
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -76,6 +77,11 @@ class NewFiles:
     def forecasts(self) -> Sequence[GateForecast]:
         return self.chosen.forecasts
 
+    @property
+    def ready(self) -> bool:
+        """True if neither the preflight nor a gate is expected to refuse a run with these files."""
+        return self.refused is None and self.chosen.passes
+
     def write(self, directory: Path) -> list[Path]:
         """Write all files into `directory`, or none, and return their paths."""
         removed = () if POSITIONS_FILE in self.texts else (POSITIONS_FILE,)
@@ -95,7 +101,7 @@ class NewFiles:
             "files": [str(directory / name) for name in self.texts],
             **self.plan,
             "gates": [forecast.as_json() for forecast in self.forecasts],
-            "next": next_commands(self.setup, directory),
+            "next": next_commands(self.setup, directory, ready=self.ready),
         }
 
 
@@ -123,11 +129,17 @@ def refuse_existing(directory: Path) -> None:
         )
 
 
-def next_commands(setup: NewSetup, directory: Path) -> list[str]:
-    """Return the commands to be typed next, in order."""
-    enter = [] if directory.resolve() == Path.cwd() else [f"cd {directory}"]
+def next_commands(setup: NewSetup, directory: Path, *, ready: bool) -> list[str]:
+    """Return the commands to be typed next, in order.
+
+    None of them writes a table to a real controller: the last one for it is `volcal try`, and a person decides after
+    that. If a run is expected to be refused (`ready` is False), there is nothing to calibrate yet.
+    """
+    enter = [] if directory.resolve() == Path.cwd() else [shlex.join(("cd", str(directory)))]
+    if not ready:
+        return [*enter, "volcal plan"]
     commands = [*enter, "volcal calibrate --simulated"]
-    return commands if setup.controller.is_simulated else [*commands, "volcal doctor", "volcal calibrate"]
+    return commands if setup.controller.is_simulated else [*commands, "volcal doctor", "volcal try"]
 
 
 def _prepared(setup: NewSetup, scratch: Path) -> NewFiles:

@@ -410,9 +410,7 @@ def _gate_notes(result: IdentificationResult) -> tuple[str, ...]:
     """Return one sentence for each gate that did not pass: with a table, that it was written all the same."""
     begin = "Written although" if result.has_table else "No table was written:"
     return tuple(
-        f"{begin} the gate {gate.name} failed: {gate.value:.3g} against {gate.limit:.3g}, {gate.text}."
-        for gate in result.gates
-        if not gate.passed
+        f"{begin} the gate {gate.name} failed: {gate.figures}; {gate.text}." for gate in result.gates if not gate.passed
     )
 
 

@@ -10,11 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from agent.errors import Busy
 from agent.execution.encoding import table_digest
 from agent.execution.engine import Engine
 from agent.execution.journal import Journal
 from agent.execution.journal_reader import JournalReader, has_journal, open_journal
 from agent.execution.rig import ACTIVATED_AFTER, ACTIVATION_INSTRUCTION, Rig
+from agent.execution.run_lock import ownership
 from agent.execution.steps import CheckPermissions, Plan
 from agent.probing import publish
 from agent.runs.reconcile_result import CompensationState, ReconcileAction, Reconciliation
@@ -38,7 +40,8 @@ class LastCompensation:
     """State of the controller's compensation after the last run that read it, according to the journal.
 
     `former` is the bank that was active before that run. `staged` is the bank that the run wrote, or None if the run
-    wrote no bank. `accepted` is True if the written table was accepted.
+    wrote no bank. `accepted` is True if the written table was accepted, and `restored` if the former one was
+    reactivated.
     """
 
     run: int
@@ -46,6 +49,12 @@ class LastCompensation:
     former: RecordedBank
     staged: RecordedBank | None
     accepted: bool
+    restored: bool
+
+    @property
+    def settled(self) -> bool:
+        """True if the written table was accepted or taken back."""
+        return self.accepted or self.restored
 
     @property
     def expected(self) -> RecordedBank:
@@ -73,7 +82,30 @@ def reconcile(rig: Rig, state_directory: Path, *, of_run: int | None = None, res
         return _restored(rig, state_directory, last, active, unfinished)
     unrepaired = state in (CompensationState.UNPROVED, CompensationState.CHANGED)
     action = ReconcileAction.LEFT if unrepaired else ReconcileAction.NOTHING
-    return Reconciliation(state, action, active, None, unfinished, _instruction(state, last))
+    return Reconciliation(state, action, active, None, unfinished, _instruction(state, last, unfinished))
+
+
+def compensation_left(rig: Rig, state_directory: Path) -> Reconciliation | None:
+    """Return the comparison of the controller's active compensation with the journal, without any repair.
+
+    Return None if the journal has no run to compare with, or if another process owns the machine and may be proving a
+    table. `rig` must be open. Raises DeviceError if the controller cannot be read, and InputError if the journal cannot
+    be read.
+    """
+    if not has_compensation_record(state_directory):
+        return None
+    try:
+        with ownership(state_directory, "a comparison of the compensation with the journal"):
+            return reconcile(rig, state_directory, restore=False)
+    except Busy:
+        return None
+
+
+def unproved_run(state_directory: Path) -> str | None:
+    """Return the identity of the last run that read the compensation if it wrote a table that was neither accepted nor
+    taken back, according to the journal alone; otherwise None."""
+    last = _last_compensation(state_directory, None)
+    return last.run_id if last is not None and last.staged is not None and not last.settled else None
 
 
 def has_compensation_record(state_directory: Path) -> bool:
@@ -82,10 +114,13 @@ def has_compensation_record(state_directory: Path) -> bool:
     return _last_compensation(state_directory, None) is not None
 
 
-def _instruction(state: CompensationState, last: LastCompensation) -> str:
+def _instruction(state: CompensationState, last: LastCompensation, unfinished: UnfinishedRun | None) -> str:
     match state:
         case CompensationState.UNPROVED:
-            return f"resume run {last.run_id} to prove the table, or have the former one restored"
+            give_up = f"`volcal resume --give-up` makes the former table (bank {last.former.number}) active again"
+            if unfinished is not None and unfinished.run == last.run and unfinished.resumable:
+                return f"`volcal resume` resumes run {last.run_id}, which proves the table; {give_up}"
+            return f"{give_up}; run {last.run_id} has ended and cannot prove its table"
         case CompensationState.CHANGED:
             expected = last.expected.number
             return f"run {last.run_id} left bank {expected} active: find out who changed it, then calibrate again"
@@ -174,4 +209,5 @@ def _read(reader: JournalReader, of_run: int | None) -> LastCompensation | None:
         former=RecordedBank(backup.bank, backup.crc32),
         staged=None if staged is None else RecordedBank(staged.bank, staged.crc32),
         accepted=reader.has_decision(backup.run, ACTIVATING_DECISIONS),
+        restored=reader.last_table(backup.run, "restored") is not None,
     )

@@ -47,6 +47,11 @@ class Reconciliation:
     instruction: str = ""
 
     @property
+    def blocks_runs(self) -> bool:
+        """True if a table must be proved or taken back before a new run may start."""
+        return self.state in (CompensationState.UNPROVED, CompensationState.WAITING)
+
+    @property
     def text(self) -> str:
         """Text for people in one line, with the state of the compensation, the repair and the instruction."""
         parts = [f"{self.state.value} (bank {self.active_bank} is active)", self.action.value, self.instruction]

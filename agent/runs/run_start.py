@@ -14,7 +14,6 @@ from agent.results.decision_kinds import INPUTS
 from agent.results.journal_entries import inputs_of
 from agent.runs.planned_run import Kind, StartConditions
 from agent.runs.reconcile import has_compensation_record, reconcile
-from agent.runs.reconcile_result import CompensationState
 from drivers.clock import Clock, utc_timestamp
 
 
@@ -58,8 +57,8 @@ def _require_finished_compensation(rig: Rig, state_directory: Path) -> None:
     if not has_compensation_record(state_directory):
         return
     left = reconcile(rig, state_directory, restore=False)
-    if left.state in (CompensationState.UNPROVED, CompensationState.WAITING):
+    if left.blocks_runs:
         raise PlanRefused(
             f"the last run has left the compensation unfinished: {left.text}",
-            hint="`volcal resume` resumes that run, `volcal resume --give-up` makes the former table active again",
+            hint="no new run starts before that is settled",
         )

@@ -78,7 +78,7 @@ def carry_out(
         rig = hooks.devices.assemble(settings, clock, base)
         journal = enter_in_journal(resources.journal, run_id, job, kind, clock, asked or {})
         tracker = RunStateTracker(journal, hooks.announce)
-        steps = StepProgress(tracker, hooks.observe, rig.link_interruptions)
+        steps = StepProgress(tracker, hooks.observe, rig)
         actions = run_actions(rig, journal, tracker, resources.supervisor, hooks)
         engine = Engine(actions, journal, steps.observe)
         context = RunContext(rig, engine, journal, tracker, resources.supervisor, clock, hooks)

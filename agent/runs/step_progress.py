@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 from agent.execution.engine import Observer
+from agent.execution.rig import Rig
 from agent.execution.run_state import RunStateTracker
 from agent.execution.steps import Record, Step, TouchTowards
 from agent.planning.preflight import PreflightResult
@@ -16,17 +17,16 @@ class StepProgress:
     """Observer of the steps of a run. It counts touches and balls, and announces the progress according to the times
     that the preflight has predicted."""
 
-    def __init__(
-        self, tracker: RunStateTracker, further: Observer, link_interruptions: Callable[[], Mapping[str, int]]
-    ) -> None:
+    def __init__(self, tracker: RunStateTracker, further: Observer, rig: Rig) -> None:
         """`further` is another observer; it receives every step before this one.
 
-        `link_interruptions` returns, by device, the number of interruptions of its link after which it was restored;
-        new ones are noted.
+        Of the devices of the `rig`, interruptions of a link after which it was restored are noted, and what is impaired
+        although the run goes on.
         """
         self._tracker = tracker
-        self._link_interruptions = link_interruptions
+        self._rig = rig
         self._noted: Mapping[str, int] = {}
+        self._impaired: set[tuple[str, str]] = set()
         self._further = further
         self.preflight: PreflightResult | None = None
         self.results = RunResults()
@@ -37,18 +37,27 @@ class StepProgress:
         self.results.observe(step, result)
         self._further(step, result)
         self._note_interruptions()
+        self._note_impairments()
         if isinstance(step, TouchTowards):
             self.touches += 1
         elif isinstance(step, Record):
             self._observe_record(step)
 
     def _note_interruptions(self) -> None:
-        counts = self._link_interruptions()
+        counts = self._rig.link_interruptions()
         for device, count in counts.items():
             if count > self._noted.get(device, 0):
                 text = f"the link to {device} was interrupted while nothing moved, and restored ({count} so far)"
                 self._tracker.note(text, device=device, interruptions=count)
         self._noted = counts
+
+    def _note_impairments(self) -> None:
+        impaired = {(device, text) for device, texts in self._rig.impairments().items() for text in texts}
+        for device, text in sorted(impaired - self._impaired):
+            self._tracker.note(f"{text}; the run goes on", device=device)
+        for device, text in sorted(self._impaired - impaired):
+            self._tracker.note(f"no longer: {text}", device=device)
+        self._impaired = impaired
 
     def _observe_record(self, step: Record) -> None:
         if "note" in step.payload:

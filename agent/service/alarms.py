@@ -37,6 +37,9 @@ _CODES: dict[type[errors.VolcalError], AlarmCode] = {
         201, "invalid settings, machine, artefact or link description", "correct the file and key given in the alarm"
     ),
     errors.InputError: AlarmCode(202, "invalid data file or table", "correct the file and row given in the alarm"),
+    run_errors.NotAllowedInState: AlarmCode(
+        210, "the request is not allowed in this state", "see which requests the state allows"
+    ),
     errors.DeviceError: AlarmCode(300, "device or link failed", "check the device given in the alarm"),
     errors.LinkError: AlarmCode(310, "link failed", "check cable, address and power supply of the device"),
     errors.LinkLost: AlarmCode(
@@ -126,8 +129,10 @@ def alarm_code(error: BaseException) -> AlarmCode:
 
 def alarm_of(error: BaseException) -> Alarm:
     """Return an alarm with the text, the location and the hint of the error. If the error has no hint, use the general
-    hint of its alarm code."""
+    hint of its alarm code, or that of a wrong entry if the error names no file."""
     found = alarm_code(error)
     if isinstance(error, errors.VolcalError):
-        return Alarm(found.code, error.message, error.hint or found.hint, MappingProxyType(dict(error.where)))
+        of_file = not isinstance(error, errors.InputError) or "file" in error.where
+        general = found if of_file else CODES[errors.UserError]
+        return Alarm(found.code, error.message, error.hint or general.hint, MappingProxyType(dict(error.where)))
     return Alarm(found.code, f"{found.text}: {type(error).__name__}: {error}", found.hint)

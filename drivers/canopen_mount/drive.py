@@ -264,6 +264,15 @@ class Drive:
             self._homed = self.settings.homing is None
             raise
 
+    def impairment(self) -> str:
+        """Return what is impaired in the monitoring of the drive, or an empty text."""
+        if not self._monitor.silent:
+            return ""
+        name = f"the drive of the {self.node.axis} (node {self.node.node_id})"
+        return (
+            f"{name} sends no heartbeat, but still answers: check its heartbeat time (0x1017) and the load of the bus"
+        )
+
     def check_in_motion(self) -> None:
         """Call `check`; raise MotionFault if it returns an emergency error code that the settings do not tolerate."""
         self._require_no_emergency(self.check())

@@ -100,6 +100,10 @@ class CanopenMount:
                 failures.append(error)
         return failures
 
+    def impairments(self) -> list[str]:
+        """Return one text for each drive whose heartbeat is missing although it answers."""
+        return [text for drive in self._drives if (text := drive.impairment())]
+
     def home(self) -> None:
         """Home the drives that need homing, one after the other.
 

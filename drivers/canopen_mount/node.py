@@ -214,7 +214,13 @@ class NodeMonitor:
         self._last_s = clock.now()
         self._silent = False
 
+    @property
+    def silent(self) -> bool:
+        """True if the node sends no heartbeat, but answered when it was last queried for this reason."""
+        return self._silent
+
     def arm(self) -> None:
+        self._silent = False
         self._node.take_boot_up()
         self._node.take_nmt_state()
         self._node.take_emergencies()

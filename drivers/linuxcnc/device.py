@@ -22,6 +22,7 @@ from drivers.linuxcnc.session import LinuxCncSession
 from drivers.linuxcnc.settings import LinuxCncSettings
 from drivers.linuxcnc.snapshot import ON, Snapshot
 from drivers.registry import DeviceContext
+from drivers.repeated_latch import RepeatedLatch
 from drivers.roles import (
     AxisLimits,
     DiagnosticFinding,
@@ -187,6 +188,7 @@ class LinuxCncProbing:
     def __init__(self, session: LinuxCncSession, motion: LinuxCncMotion) -> None:
         self._session = session
         self._motion = motion
+        self._repeated = RepeatedLatch(session.settings.latch_tolerance_mm)
 
     def status(self) -> ProbeStatus:
         snapshot = self._session.read_snapshot()
@@ -206,6 +208,12 @@ class LinuxCncProbing:
             raise ProtocolError(
                 f"latched position {ended.snapshot.probed} is {distance_mm:.3f} mm off the commanded path",
                 hint="check whether another program uses LinuxCNC at the same time",
+                **self._session.where,
+            )
+        if complaint := self._repeated.complaint(ended.snapshot.probed, ended.start, target):
+            raise ProtocolError(
+                complaint,
+                hint="check motion.probe-input and the probe's debounce in HAL",
                 **self._session.where,
             )
         x, y, z = (latched - self._overshoot(ended, target, feed_mm_per_s)).tolist()

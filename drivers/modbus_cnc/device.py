@@ -27,6 +27,7 @@ from drivers.modbus_cnc.registers import CommandBlock, ControllerLimits, StatusI
 from drivers.modbus_cnc.session import ModbusSession
 from drivers.modbus_cnc.settings import ModbusCncSettings
 from drivers.modbus_cnc.store import ModbusStore
+from drivers.repeated_latch import RepeatedLatch
 from drivers.roles import (
     AxisLimits,
     DiagnosticFinding,
@@ -172,12 +173,13 @@ class ModbusProbing:
     """Probing with the controller's touch-trigger probe.
 
     A latched position is accepted only if it carries the sequence number of the touch command and lies on the path of
-    the touch.
+    the touch, and if repeated touches do not agree too well.
     """
 
     def __init__(self, session: ModbusSession, motion: ModbusMotion) -> None:
         self._session = session
         self._motion = motion
+        self._repeated = RepeatedLatch(session.settings.latch_tolerance_mm)
 
     def status(self) -> ProbeStatus:
         bits = self._session.status().probe_bits
@@ -191,6 +193,8 @@ class ModbusProbing:
         if status.outcome is MotionOutcome.MISSED:
             return Miss(status.latched)
         self._require_on_path(status.latched, start, target_mm)
+        if complaint := self._repeated.complaint(status.latched, start, target_mm.tolist()):
+            raise self._latch_error(complaint)
         return Touch(status.latched)
 
     def _require_own_latch(self, status: StatusImage) -> None:

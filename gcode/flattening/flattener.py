@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from gcode.flattening.canned_cycles import CannedCycles
+from gcode.flattening.canned_cycles import CannedCycles, cartesian
 from gcode.flattening.control_flow import (
     END_OF_DO,
     PROGRAM_NUMBER,
@@ -21,7 +21,6 @@ from gcode.flattening.control_flow import (
 )
 from gcode.flattening.expressions import ExpressionReader
 from gcode.flattening.parameters import LOCAL_NUMBERS, ProgramParameters
-from gcode.flattening.polar import cartesian
 from gcode.flattening.saved_state import (
     INVALIDATE,
     SAVE,
@@ -32,16 +31,17 @@ from gcode.flattening.saved_state import (
 from gcode.flattening.statements import Statement, block_text, read_statement, shows_parameters
 from gcode.flattening.system_parameters import SystemParameters
 from gcode.modal import ModalState
+from gcode.polar import POLAR
 from gcode.source import SourceLine
 
 SubprogramFiles = Callable[[str], Iterable[str] | None]
 """Function that returns the lines of the file of a subprogram with this name, or None if there is no such file."""
 
-# Anything that is not a plain block: parameters, expressions, polar coordinates, O-words, (ABORT), the codes of canned
-# cycles and of their end (G73, G8x, G98, G99), the codes on which cycles depend (G61, G64, M3 to M5), saved states (M70
-# to M73), and M98 and M99. The G and M words may have spaces and leading zeros.
+# Anything that is not a plain block: parameters, expressions, O-words, (ABORT), the codes of canned cycles and of their
+# end (G73, G8x, G98, G99), the codes on which cycles depend (G61, G64, M3 to M5), saved states (M70 to M73), and M98
+# and M99. The G and M words may have spaces and leading zeros.
 _SPECIAL = re.compile(
-    r"[#\[@^oO]|[gG][ \t]*0*(?:61|64|73|8[0-9]|9[89])(?!\d)|[mM][ \t]*0*(?:[345]|7[0-3]|9[89])(?!\d)|\([ \t]*[aA][bB]"
+    r"[#\[oO]|[gG][ \t]*0*(?:61|64|73|8[0-9]|9[89])(?!\d)|[mM][ \t]*0*(?:[345]|7[0-3]|9[89])(?!\d)|\([ \t]*[aA][bB]"
 )
 _ABORT = re.compile(r"\([ \t]*abort\b", re.IGNORECASE)
 _CALL, _RETURN = 980, 990
@@ -75,6 +75,7 @@ class _Call:
     repeats: int = 0
     counts: dict[int, int] = field(default_factory=dict)
     saved: SavedState | None = None
+    saved_cycle_modes: tuple[bool | None, bool] = (None, False)
 
 
 class Flattener:
@@ -90,7 +91,8 @@ class Flattener:
         self._system = SystemParameters(modal)
         self._parameters = ProgramParameters(given, self._system.value)
         self._files = files
-        self._cycles = CannedCycles()
+        retract = modal.setup.retract
+        self._cycles = CannedCycles(to_r=None if retract is None else retract == "G99")
         self._calls: list[_Call] = []
         self._known: dict[str, tuple[ControlFlow, int]] = {}
         self._executed = 0
@@ -178,6 +180,7 @@ class Flattener:
             source.refuse("M70 to M73 are supported only in blocks of their own")
         if codes[0] in (SAVE, SAVE_FOR_RETURN):
             call.saved = SavedState.of(self._modal, at_return=codes[0] == SAVE_FOR_RETURN)
+            call.saved_cycle_modes = self._cycles.modes
         elif codes[0] == INVALIDATE:
             call.saved = None
         elif call.saved is None:
@@ -188,6 +191,7 @@ class Flattener:
     def _restore(self, saved: SavedState, source: SourceLine) -> Iterator[PlainBlock]:
         for text in saved.restored(self._modal, source):
             yield PlainBlock(source, text)
+        self._cycles.modes = self._calls[-1].saved_cycle_modes
 
     def _simple(self, source: SourceLine, statement: Statement) -> Iterator[PlainBlock]:
         """Execute a statement, and yield its block if it has one."""
@@ -196,10 +200,10 @@ class Flattener:
         if statement.deletable and (statement.assignments or statement.computed):
             source.refuse("block delete makes this line optional, and it depends on parameters", "Remove the slash")
         cycle = self._cycles.wants(statement)
-        words = statement.words if cycle else cartesian(statement.words, source, self._modal)
+        words = statement.words
         if cycle:
             yield from self._cycle(source, statement)
-        elif statement.computed or statement.assignments or words is not statement.words:
+        elif statement.computed or statement.assignments:
             if words:
                 yield PlainBlock(source, block_text(words, statement.comments))
         elif not any(map(shows_parameters, statement.comments)):
@@ -215,12 +219,12 @@ class Flattener:
         if others:
             yield PlainBlock(source, block_text(others, statement.comments))
         times = self._cycles.repeats(own, source)
-        polar = any(word.letter in "@^" for word in own)
-        # Polar coordinates depend on the position, so each repetition is converted after the one before has been
-        # executed.
-        for _ in range(times if polar else 1):
+        # With G91, polar coordinates depend on the position, so each repetition is converted after the one before has
+        # been executed. With G90, all repetitions are at one place.
+        one_by_one = not self._modal.absolute and any(word.letter in POLAR for word in own)
+        for _ in range(times if one_by_one else 1):
             words = cartesian(own, source, self._modal)
-            for text in self._cycles.run(words, 1 if polar else times, source, self._modal):
+            for text in self._cycles.run(words, 1 if one_by_one else times, source, self._modal):
                 yield PlainBlock(source, text)
 
     def _statement(self, source: SourceLine) -> Statement:

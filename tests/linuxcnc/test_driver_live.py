@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -60,6 +62,21 @@ def before(live: Live, device: LinuxCnc, distance_mm: float = 20.0) -> np.ndarra
     device.move_to(np.array([ball[0], 0.0, ball[2]]), feed_mm_per_s=None, guarded=True)
     device.move_to(ball - [0.0, distance_mm, 0.0], feed_mm_per_s=None, guarded=True)
     return ball
+
+
+@contextmanager
+def bouncing(live: Live, bounce_s: float) -> Iterator[None]:
+    """Let the contact of the probe open in every other servo cycle for this time after each trip."""
+    try:
+        set_bounce(live, bounce_s)
+        yield
+    finally:
+        set_bounce(live, 0.0)
+
+
+def set_bounce(live: Live, bounce_s: float) -> None:
+    words = live.process.inside("halcmd", "setp", "volcal-plant.bounce-s", f"{bounce_s}")
+    subprocess.run(words, check=True, capture_output=True)
 
 
 def touch(device: LinuxCnc, target: np.ndarray, feed: float = FEED) -> np.ndarray:
@@ -172,6 +189,27 @@ class TestProbe:
         assert np.abs(errors).max() <= 0.5 * CYCLE_MM + 1e-4
         assert abs(np.mean(errors)) < 0.3 * CYCLE_MM
         assert np.ptp(errors) > 0.3 * CYCLE_MM
+
+    @pytest.mark.parametrize("bounce_s", [0.0, 0.002, 0.01, 0.05])
+    def test_contact_that_bounces_while_the_axes_brake(self, live: Live, device: LinuxCnc, bounce_s: float) -> None:
+        """The axes brake from 30 mm/s in 60 ms. The first edge is the one that counts."""
+        ball, feed = before(live, device), 30.0
+        with bouncing(live, bounce_s):
+            for number in range(4):
+                device.move_to(ball - [0.0, 17.0 + 0.00137 * number, 0.0], feed_mm_per_s=None, guarded=True)
+                error = touch(device, ball, feed=feed)[1] - (ball[1] - REACH_MM)
+                assert abs(error) <= 0.5 * feed * 1e-3 + 1e-4
+                until(lambda: device.probe_status().deflected)
+                device.move_to(ball - [0.0, 20.0, 0.0], feed_mm_per_s=None, guarded=True)
+
+    def test_the_simulated_contact_bounces(self, live: Live, device: LinuxCnc) -> None:
+        ball = before(live, device)
+        with bouncing(live, 1e6):
+            touch(device, ball)
+            until(lambda: not device.probe_status().deflected)
+            until(lambda: device.probe_status().deflected)
+        until(lambda: device.probe_status().deflected)
+        device.move_to(ball - [0.0, 20.0, 0.0], feed_mm_per_s=None, guarded=True)
 
     def test_touch_is_displayed_without_the_correction(self, live: Live) -> None:
         """The table adds 0.2 mm in Y, so the displayed Y is 0.2 mm smaller when the tip touches the ball."""

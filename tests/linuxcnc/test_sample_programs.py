@@ -8,11 +8,11 @@ import re
 from pathlib import Path
 
 import numpy as np
-from canon_path import RS274, Executed, execute, farthest
 from requirements import skip_if_missing
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import cKDTree
 
+from campaigns.part_programs.rs274 import RS274, Executed, execute, farthest
 from gcode.correction import correct_program
 from gcode.setup import SYSTEMS, CorrectionOptions, PartSetup
 from twin.compensation.table import Anchor, CompensationTable, regular_nodes
@@ -147,13 +147,13 @@ def largest_difference(original: Executed, after: Executed) -> float:
     """Return the largest distance in mm between the corrected path and the one that the table asks for, both ways. The
     first move begins at the position of the axes, which is not corrected.
     """
-    wanted = [points + FIELD(points) for points in original.feeds]
+    wanted, written = [points + FIELD(points) for points in original.feeds], after.feeds
     if wanted and not original.feeds[0][0].any():
-        wanted, after.feeds = wanted[1:], after.feeds[1:]
+        wanted, written = wanted[1:], written[1:]
     found = [0.0]
     if wanted:
-        found.append(farthest(np.concatenate(wanted), after.feeds))
-        found.append(farthest(np.concatenate(after.feeds), wanted))
+        found.append(farthest(np.concatenate(wanted), written))
+        found.append(farthest(np.concatenate(written), wanted))
     ends = [end + FIELD(end)[0] for end in original.rapids if end.any()]
     if ends:
         found.append(float(np.max(cKDTree(after.rapids).query(ends)[0])))
@@ -194,6 +194,13 @@ def test_sample_programs_in_mm(tmp_path: Path) -> None:
         assert reason in refused[name]
     assert len(differences) >= 13
     assert max(differences.values()) < CHORD_MM, differences
+
+
+def test_spiral_in_polar_coordinates(tmp_path: Path) -> None:
+    """Check a sample in inches, of which `rs274` prints positions rounded to 2.5 µm in each axis."""
+    found = compare(SAMPLES / "spiral.ngc", tmp_path)
+    assert found is not None
+    assert found < CHORD_MM + 0.5 * 0.00254 * np.sqrt(3.0)
 
 
 def test_every_statement_of_the_language(tmp_path: Path) -> None:

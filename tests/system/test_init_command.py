@@ -73,6 +73,17 @@ def test_what_is_missing_or_impossible_is_one_error_and_nothing_is_written(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_an_implausible_value_is_warned_of_and_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "short.csv").write_text(POSITIONS)
+    ended = volcal(
+        "init", "mine", *MILL, "--stations", "2", "--position-set", "short.csv", "--touches", "5",
+        "--tip-diameter", "0.2", exit_code=None,
+    )  # fmt: skip
+    assert "warning: mine/volcal.toml, key probe.tip_radius_mm: the value 0.1 mm is not plausible" in ended.stderr
+    assert "tip_radius_mm = 0.1 " in (tmp_path / "mine" / "volcal.toml").read_text()
+
+
 def test_existing_settings_are_kept_without_force(tmp_path: Path) -> None:
     settings = tmp_path / "volcal.toml"
     settings.write_text("mine\n")

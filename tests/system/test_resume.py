@@ -22,12 +22,14 @@ from test_whole_run_interrupted import FORMER, Cut, Tripwire, with_device
 
 from agent.errors import PlanDiverged, PlanRefused
 from agent.execution.device_assembly import assemble
+from agent.execution.journal import Journal
 from agent.execution.rig import Rig
+from agent.execution.run_lock import run_lock
 from agent.execution.run_record import run_ids
 from agent.execution.states import RunState
 from agent.results.run_outcome import Decision
 from agent.runs.kinds import nightly
-from agent.runs.reconcile import reconcile
+from agent.runs.reconcile import compensation_left, reconcile, unproved_run
 from agent.runs.reconcile_result import CompensationState, ReconcileAction
 from agent.runs.resume.abandon import abandon
 from agent.runs.resume.resume import resume
@@ -261,6 +263,41 @@ def test_another_run_does_not_take_an_unproved_table_for_granted(proving: Broken
     result = abandon(proving.rig, STATE, "test")
     assert (result.action, proving.night.active) == (ReconcileAction.RESTORED, 1)
     assert unfinished_run(STATE) is None
+
+
+def test_after_the_end_of_a_run_whose_table_was_not_taken_back_everyone_names_the_same_way_out(
+    proving: Broken,
+) -> None:
+    rig = proving.rig
+    way_out = "`volcal resume --give-up` makes the former table (bank 1) active again"
+    before = compensation_left(rig, STATE)
+    assert before is not None and "`volcal resume` resumes run" in before.text and way_out in before.text
+    unfinished = unfinished_run(STATE)
+    assert unfinished is not None
+    journal = Journal(STATE)
+    journal.continue_run(unfinished.run, unfinished.run_id, rig.clock)[0].aside().state(
+        RunState.ABORTED, "stopped during the proof; the restore failed", final=True
+    )
+    journal.close()
+    left = compensation_left(rig, STATE)
+    assert left is not None and left.blocks_runs
+    assert way_out in left.text and "cannot prove its table" in left.text
+    with pytest.raises(InputError, match="no run to resume") as refused:
+        proving.resume()
+    assert "volcal resume --give-up" in refused.value.hint
+    started = proving.night.run(document(), files=False)
+    assert isinstance(started.error, PlanRefused)
+    assert way_out in str(started.error) and "`volcal resume` resumes" not in str(started.error)
+    assert abandon(proving.rig, STATE, "test").action is ReconcileAction.RESTORED
+    assert proving.night.active == 1
+    settled = compensation_left(proving.rig, STATE)
+    assert settled is not None and not settled.blocks_runs
+    assert unproved_run(STATE) is None
+
+
+def test_while_another_process_owns_the_machine_its_table_is_not_judged(proving: Broken) -> None:
+    with run_lock(STATE, "of another process"):
+        assert compensation_left(proving.rig, STATE) is None
 
 
 def test_with_an_open_door_the_compensation_is_left_as_it_is(proving: Broken) -> None:

@@ -29,6 +29,7 @@ SMALL = {
     "a role, apart from the processes that play it": ("agent.reports.renderer",),
     "sqlite3 is confined to the journal's own modules": ("agent.execution.journal_copy",),
     "it logs, and the rest of its room does not": ("agent.history.feed",),
+    "it imports matplotlib, which the library loads only for a figure": ("volcal.notebook_figure",),
     "one step of the run, beside its siblings": ("agent.runs.resume.abandon",),
 }
 """Modules of under 40 lines with at most one importer, by the reason to stand alone."""

@@ -8,7 +8,7 @@ from dataclasses import replace
 from queue import Queue
 from typing import Any
 
-from agent.errors import Busy
+from agent.errors import Busy, NotAllowedInState
 from agent.execution.states import PACKML, RunState
 from agent.runs.run_request import RunRequest, Source
 from agent.service.alarms import alarm_of
@@ -85,6 +85,8 @@ class FakeControl:
             self.now(RunState.HELD)
 
     def resume(self) -> None:
+        if self._status.state is RunState.IDLE:
+            raise NotAllowedInState("resume is not allowed in state idle", hint="only a run that is held")
         self.asked.append(("resume", None))
         if self._status.state is RunState.HELD:
             self.now(RunState.MEASURING)

@@ -199,6 +199,10 @@ def test_what_is_left_empty_is_as_the_settings_say(world):
 def test_refusals_are_bad_status_codes_with_their_words_beside(world):
     async def scene() -> None:
         async with world.connected() as client:
+            with refused("BadInvalidState"):
+                await call(client, "Resume")
+            assert await read(client, "Notification/LastRefusalCode") == 210
+            assert "not allowed in state idle" in await read(client, "Notification/LastRefusalText")
             await call(client, "Start", *START)
             with refused("BadInvalidState"):
                 await call(client, "Start", *START)

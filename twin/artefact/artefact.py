@@ -15,6 +15,7 @@ import numpy as np
 
 from twin.arrays import Array, as_points
 from twin.artefact.artefact_body import ArtefactBody, Rod, vector
+from twin.display import Displayed
 from twin.errors import DataError
 from twin.immutable import Immutable
 from twin.units import REFERENCE_TEMPERATURE_C
@@ -24,7 +25,7 @@ _SMALLEST_SAG_MM = 0.002  # a short bar bends by its clamping rather than by its
 
 
 @dataclass(frozen=True, eq=False)
-class Artefact(Immutable):
+class Artefact(Displayed, Immutable):
     """Calibrated ball artefact with N balls.
 
     - `balls` (N, 3) contains the ball centres in mm at the reference temperature, without gravity sag.
@@ -52,6 +53,9 @@ class Artefact(Immutable):
     uncertified: tuple[int, ...] = ()
     sag_standard_uncertainty_mm: float = 0.0
     body: ArtefactBody = field(default_factory=ArtefactBody)
+
+    def __repr__(self) -> str:
+        return f"<Artefact: {self.name!r}, {self.count} balls of {self.ball_diameter_mm:g} mm>"
 
     def __post_init__(self) -> None:
         balls = as_points(self.balls, "balls of the artefact")

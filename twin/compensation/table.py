@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.arrays import Array, as_points, as_vector
+from twin.display import Displayed
 from twin.errors import DataError, ModelError
 from twin.machine.deviation_basis import deviation_basis
 from twin.machine.error_model import ErrorModel, Ranges
@@ -54,7 +55,7 @@ class Anchor:
 
 
 @dataclass(frozen=True, eq=False)
-class CompensationTable:
+class CompensationTable(Displayed):
     """Corrections at the nodes of a grid, interpolated trilinearly between the nodes.
 
     `x`, `y` and `z` contain the node positions of the three axes in mm. `corrections` (nx, ny, nz, 3) contains the
@@ -78,6 +79,10 @@ class CompensationTable:
     gates_not_passed: tuple[str, ...] = ()
     machine: str = ""
     artefact: str = ""
+
+    def __repr__(self) -> str:
+        shape = " × ".join(str(len(nodes)) for nodes in self.nodes)
+        return f"<CompensationTable: {shape} nodes, machine {self.machine!r}>"
 
     def __post_init__(self) -> None:
         for axis, nodes in zip(AXES, self.nodes, strict=True):

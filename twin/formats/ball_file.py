@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from twin.arrays import Array
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
+from twin.display import Displayed
 from twin.errors import FormatError, PositionError, TwinError
 from twin.formats.csv_reading import CsvRow, read_rows
 from twin.machine.error_model import Ranges
@@ -49,7 +50,7 @@ SIGMA_UM = (0.02, 50.0)
 
 
 @dataclass(frozen=True, eq=False)
-class BallFile:
+class BallFile(Displayed):
     """Contents of a ball file: the measured ball centres and the positions in which they were measured.
 
     `observations` contains one ball centre for each row, in the order of the file. `positions` contains the station and
@@ -65,6 +66,9 @@ class BallFile:
     temperature_was_read: bool = True
     numbers: tuple[int, ...] = ()
     rows: tuple[int, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"<BallFile: {self.observations.size} ball centres in {len(self.positions)} positions>"
 
     @contextmanager
     def places_named(self) -> Iterator[None]:

@@ -17,6 +17,7 @@ from pydantic import Field, model_validator
 from twin.arrays import Array
 from twin.artefact.artefact_calibration import COVERAGE_FACTOR, ArtefactCalibration
 from twin.artefact.certificate import BallDistance
+from twin.display import Displayed
 from twin.errors import FormatError, TwinError
 from twin.formats.drift_section import read_trend
 from twin.formats.json_reading import read_json
@@ -259,7 +260,7 @@ class EstimateFile(StrictModel):
 
 
 @dataclass(frozen=True, eq=False)
-class StoredEstimate:
+class StoredEstimate(Displayed):
     """Estimate of the errors of a machine as stored in a file. Its content is sufficient for building a compensation
     table, for comparing estimates, and for use as the prior of the next estimate. `document` is the content of the
     file."""
@@ -273,6 +274,9 @@ class StoredEstimate:
     z_covariance: Array
     trend: DriftTrend
     document: EstimateFile
+
+    def __repr__(self) -> str:
+        return f"<StoredEstimate: {len(self.parameters)} parameters>"
 
     @property
     def certificate_check(self) -> tuple[BallCheck, ...]:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from twin.arrays import Array
 from twin.artefact.artefact_calibration import ArtefactCalibration
+from twin.display import Displayed
 from twin.identification.alternatives import Alternative
 from twin.identification.checks.certificate_check import BallCheck, check_certificate
 from twin.identification.checks.common_scale import CommonScale
@@ -51,7 +52,7 @@ class Misfit:
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
+class Estimate(Displayed):
     """Estimated parameters (p,) of the error model used for compensation, in mm or rad, with their covariance (p, p).
 
     The covariance includes the uncertainty due to the artefact's poses and certificate, thermal strain, misfit and
@@ -101,6 +102,12 @@ class Estimate:
     pattern: PatternTest | None = None
     shifts: tuple[EstimatedShift, ...] = ()
     common_scale: CommonScale | None = None
+
+    def __repr__(self) -> str:
+        return (
+            f"<Estimate: {len(self.parameters)} parameters from {len(self.residuals_mm)} balls, "
+            f"{len(self.rejected)} rejected, normalised χ² {self.chi2_normalised:.2f}>"
+        )
 
     def carried_over(self, process_noise: ArrayLike | None = None, nights: float = 1.0) -> CarriedOverPrior:
         """Return this estimate as the prior of an estimate made `nights` nights later.

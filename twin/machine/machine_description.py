@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from twin.arrays import Array, as_vector
+from twin.display import Displayed
 from twin.errors import ModelError
 from twin.machine.deflection import DeflectionGrid
 from twin.machine.error_model import ERROR_MOTIONS, ErrorModel, Ranges
@@ -16,7 +17,7 @@ Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class MachineDescription:
+class MachineDescription(Displayed):
     """Complete description of one machine.
 
     `model` contains the kinematic chain and the axis ranges. `limits` contains the travel limits in mm, which include
@@ -36,6 +37,9 @@ class MachineDescription:
     family: Family
     amplitudes: Mapping[str, float | Sequence[float]] = field(hash=False)
     deflection: DeflectionGrid | None
+
+    def __repr__(self) -> str:
+        return f"<MachineDescription: {self.name!r}, {self.model.chain}, tools {', '.join(sorted(self.tools))}>"
 
     def __post_init__(self) -> None:
         for axis, (low, high), travel in zip(AXES, self.model.ranges_mm, self.limits, strict=True):

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn
 
 from agent.execution.run_state import Announcement, Listener
+from agent.figures.numbers import significant
 
 
 class _Watcher:
@@ -61,5 +62,5 @@ def watching(console: Console) -> Iterator[Listener]:
 
 def _figures(announcement: Announcement) -> str:
     units = {"machine_minutes": "min of machine time", "commands": "steps", "wall_seconds": "s"}
-    parts = [f"{announcement.data[k]:.4g} {unit}" for k, unit in units.items() if k in announcement.data]
+    parts = [f"{significant(announcement.data[k], 4)} {unit}" for k, unit in units.items() if k in announcement.data]
     return f" ({', '.join(parts)})" if parts else ""

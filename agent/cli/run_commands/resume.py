@@ -102,6 +102,6 @@ def _give_up(settings: Settings, base: Path, *, as_json: bool) -> None:
         facts = {"run_id": run, "found": result.state.value, "done": result.action.value, "person": result.instruction}
         click.echo(json.dumps({**facts, "active_bank": result.active_bank, "waiting_bank": result.waiting_bank}))
     else:
-        click.echo(f"run {run or 'none unfinished'}: {result.text}")
+        click.echo(f"{'no run is unfinished' if run is None else f'run {run}'}: {result.text}")
     if result.action is ReconcileAction.LEFT:
         raise fail(StoreError("the previous table could not be reactivated", hint=result.instruction))

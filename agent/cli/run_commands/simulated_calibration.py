@@ -175,8 +175,13 @@ def _introduction(ready: dict[str, Any]) -> str:
     modbus, can = ready["modbus"], ready["can"]
     serial = modbus.get("serial")
     link = f"RTU {serial['port']} {serial['baud']} baud" if serial else f"TCP {modbus['host']}:{modbus['port']}"
-    bus = "no mount" if can is None else f"CAN {can['interface']} {can['channel']} {can['options']}"
+    bus = "no mount" if can is None else f"CAN {can['interface']} {can['channel']}{_address(can['options'])}"
     return f"simulated machine in a process of its own: Modbus {link}, {bus}"
+
+
+def _address(options: dict[str, Any]) -> str:
+    """Return the place of a CAN bus that is reached over TCP, as a text that follows its name."""
+    return f" at {options['host']}:{options['port']}" if {"host", "port"} <= set(options) else ""
 
 
 def _document(ended: RunResult, truth: Truth) -> dict[str, object]:

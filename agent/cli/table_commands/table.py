@@ -23,6 +23,7 @@ if will_run():
     from agent.cli.table_commands.store_connection import connected
     from agent.execution.encoding import table_digest
     from agent.figures.heading import subject
+    from agent.runs.reconcile import compensation_left
     from agent.service.client import Client
     from agent.settings.load import load_settings
     from drivers.clock import RealClock
@@ -47,9 +48,12 @@ def show(config: Path, as_json: bool) -> None:
     with connected(config) as (job, rig):
         active = rig.store.active_bank()
         banks = {bank: rig.store.read_table(bank) for bank in rig.store.store_limits().banks if bank}
+        left = compensation_left(rig, job.settings.state_directory)
     if as_json:
         named = {"machine": job.machine.name, "artefact": job.artefact.name}
-        document = {**named, "active_bank": active, "banks": {str(n): _facts(t) for n, t in banks.items()}}
+        found = None if left is None else {"found": left.state.value, "person": left.instruction}
+        contents = {str(number): _facts(image) for number, image in banks.items()}
+        document = {**named, "active_bank": active, "compensation": found, "banks": contents}
         click.echo(json.dumps(document))
         return
     console = results_console()
@@ -63,6 +67,8 @@ def show(config: Path, as_json: bool) -> None:
         crc, largest = (facts["crc32"], f"{facts['largest_um']} µm") if facts else ("", "")
         table.add_row(str(bank), state, grid, str(crc), largest)
     console.print(table)
+    if left is not None:
+        console.print(left.text, markup=False)
 
 
 table_group.add_command(export)

@@ -15,7 +15,7 @@ from agent.planning.new_machine.controller_setup import MODBUS, SERIAL, Controll
 from agent.planning.new_machine.field import Answers
 from agent.planning.new_machine.machine_setup import STATED, MachineSetup
 from agent.planning.new_machine.new_setup import ARTEFACT_FILE, NewSetup
-from agent.planning.new_machine.station_setup import StationSetup, propose_stations
+from agent.planning.new_machine.station_setup import StationSetup, check_place, propose_stations
 from drivers.errors import ConfigurationError, DeviceError, InputError
 from drivers.roles import AxisLimits
 
@@ -72,10 +72,11 @@ class SetupAnswers(Answers):
         )
 
     def with_smaller_artefact(self, setup: NewSetup) -> NewSetup | None:
-        """Return the set-up with a smaller artefact and its stations, or None if a person chose its size or none is
-        smaller."""
+        """Return the set-up with a smaller artefact and its stations, or None if a person chose its size, one of its
+        lengths is certified, or none is smaller."""
         former = setup.artefact
-        size = smaller_size(former) if former.origins.get(fields.SIZE.name, STATED) != STATED else None
+        is_stated = former.origins.get(fields.SIZE.name, STATED) == STATED or former.calibration.length_mm is not None
+        size = None if is_stated else smaller_size(former)
         if size is None:
             return None
         names = {
@@ -106,6 +107,12 @@ class SetupAnswers(Answers):
     def _artefact(self) -> tuple[ArtefactSetup, Mapping[str, str] | None]:
         """Return the dimensions of the artefact, and the texts of its files if it is not a nominal one."""
         if self.states(fields.ARTEFACT):
+            described = [one for one in fields.SETUP_FIELDS if one.step == fields.ARTEFACT_STEP]
+            self.refuse_stated(
+                (one for one in described if one is not fields.ARTEFACT),
+                f"describes a nominal artefact, but {fields.ARTEFACT.flag} names the file of another",
+                hint="omit one of the two; change a value of the artefact in its file",
+            )
             return _artefact_of_file(self[fields.ARTEFACT])
         artefact = fields.stated_artefact(self)
         kind = (
@@ -114,11 +121,19 @@ class SetupAnswers(Answers):
             else self[fields.CALIBRATION]
         )
         if kind != LENGTH:
+            self.refuse_stated(
+                (fields.CERTIFIED_LENGTH, fields.LENGTH_UNCERTAINTY),
+                f"has no meaning if the calibration is '{kind}'",
+                hint=f"state {fields.CALIBRATION.flag} {LENGTH}, or omit the option",
+            )
             return replace(artefact, calibration=Calibration(kind)), None
         calibration = Calibration(kind, self[fields.CERTIFIED_LENGTH], self[fields.LENGTH_UNCERTAINTY])
         return replace(artefact, calibration=calibration), None
 
     def _stations(self, machine: MachineSetup, artefact: ArtefactSetup) -> StationSetup:
+        if self.states(fields.MOUNT_AT):
+            with translated(InputError, option=fields.MOUNT_AT.flag):
+                check_place(machine, artefact, self[fields.MOUNT_AT])
         return propose_stations(
             machine,
             artefact,

@@ -159,6 +159,15 @@ def check_balls(shape: str, balls: int) -> int:
     return balls
 
 
+def check_tilt(shape: str, tilt_deg: float) -> float:
+    """Return the tilt of the holders. Raises DataError if the holders of this shape have no tilt."""
+    if shape != TILTED_BAR and tilt_deg != 0.0:
+        raise DataError(
+            f"the holders of a {shape} are not tilted, got {tilt_deg:g}°", hint="state --shape tilted-bar, or tilt 0"
+        )
+    return tilt_deg
+
+
 def tilt_of(shape: str) -> float:
     """Return the proposed tilt of the holders in degrees."""
     return TILT_DEG if shape == TILTED_BAR else 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
@@ -84,6 +84,7 @@ class SetupField(Generic[Answer]):
 
     def read(self, text: str, answers: Answers) -> Answer:
         """Return the value of a text. Raises InputError, which names the option, if it has none."""
+        self.refuse_malformed(text)
         with translated(InputError, option=self.flag):
             value = self.meaning(text)
             if self.check is not None:
@@ -190,6 +191,13 @@ class Answers:
     def stated(self, field: SetupField[Answer]) -> Answer | None:
         """Return the stated value, None if there is none."""
         return self[field] if self.states(field) else None
+
+    def refuse_stated(self, unused: Iterable[SetupField[Any]], reason: str, hint: str) -> None:
+        """Raise InputError, which names the option, if one of the `unused` fields, of which no file can contain the
+        value, is stated. `reason` completes the sentence that begins with the option."""
+        for one in unused:
+            if self.states(one):
+                raise InputError(f"{one.flag} {reason}", hint=hint, option=one.flag)
 
     def _resolved(self, field: SetupField[Answer]) -> tuple[Answer, str]:
         """Return a value and its origin."""

@@ -19,6 +19,7 @@ from agent.planning.new_machine.artefact_setup import (
     TILTED_BAR,
     ArtefactSetup,
     check_balls,
+    check_tilt,
     nominal_artefact,
     propose_shape,
     propose_size,
@@ -28,6 +29,7 @@ from agent.planning.new_machine.field import Answers, FieldKind, SetupField
 from agent.planning.new_machine.machine_class import MACHINE_CLASSES
 from agent.planning.new_machine.machine_setup import Limits, ThreeLimits, Triple, check_travel, lengths_of
 from agent.planning.new_machine.spindle import SPINDLES, parse_spindle, spindle_name
+from drivers.errors import InputError
 from drivers.roles import AxisLimits
 from twin.errors import DataError
 from twin.machine.kinematic_chain import AXES, parse_chain
@@ -73,20 +75,28 @@ def parse_travels(text: str) -> ThreeLimits:
 def stated_artefact(answers: Answers) -> ArtefactSetup:
     """Return the nominal artefact that the answers describe, without its calibration."""
     proposed = _nominal(answers)
-    diameter, balls, holder = answers[BALL_DIAMETER], answers[BALLS], answers[HOLDER]
+    diameter, balls = answers[BALL_DIAMETER], answers[BALLS]
     return replace(
         proposed,
         balls=balls,
         tilt_deg=answers[TILT],
-        holder_mm=holder or proposed.holder_mm,
+        holder_mm=answers[HOLDER],
         diameter_mm=diameter,
         origins=answers.origins,
     )
 
 
 def option_texts(options: Mapping[str, Any]) -> dict[str, str]:
-    """Return the texts of the options of `volcal init` that were given, by name of the field."""
-    return {name: _joined(value) for name, value in options.items() if value is not None}
+    """Return the texts of the options of `volcal init` that were given, by name of the field.
+
+    Raises InputError, which names the option, if a text is empty.
+    """
+    texts = {name: _joined(value) for name, value in options.items() if value is not None}
+    for name, text in texts.items():
+        if not text.strip():
+            flag = FIELDS[name].flag
+            raise InputError(f"{flag} is empty", hint=f"state a value, or omit {flag}", option=flag)
+    return texts
 
 
 def catalogue() -> dict[str, dict[str, str]]:
@@ -307,12 +317,13 @@ BALLS = SetupField(
 )  # fmt: skip
 TILT = SetupField(
     flag="--tilt", step=ARTEFACT_STEP, kind=NUMBER, meaning=float, lowest=0, highest=60,
+    check=lambda answers, tilt_deg: check_tilt(answers[SHAPE], tilt_deg) if tilt_deg else None,
     en="Tilt of its holders in degrees; 0: straight", de="Neigung der Halter in Grad; 0: gerade",
     proposal=lambda answers: f"{_nominal(answers).tilt_deg:g}", shown=lambda setup: f"{setup.artefact.tilt_deg:g}",
     key="tilt_deg", comment="holders tilted alternately up, out, down and in; 0: straight",
 )  # fmt: skip
 HOLDER = SetupField(
-    flag="--holder", step=ARTEFACT_STEP, kind=NUMBER, meaning=float,
+    flag="--holder", step=ARTEFACT_STEP, kind=NUMBER, meaning=_length,
     en="Length of its holders in mm", de="Länge der Halter in mm",
     proposal=lambda answers: f"{_nominal(answers).holder_mm:g}", shown=lambda setup: f"{setup.artefact.holder_mm:g}",
     key="holder_length_mm", comment="from the axis of the bar to a ball centre",
@@ -352,8 +363,10 @@ LENGTH_UNCERTAINTY = SetupField(
 )  # fmt: skip
 MOUNT_AT = SetupField(
     flag="--mount-at", step=MOUNT, kind=TRIPLE, meaning=_triple,
-    en="Place of the mount in the workpiece frame in mm", de="Ort der Aufnahme im Werkstücksystem in mm",
-    option="Place of the mount, workpiece frame, in mm.", shown=lambda setup: _shortly(setup.stations.places_mm[0]),
+    en="Place of the mount at station 1 in the workpiece frame in mm",
+    de="Ort der Aufnahme an Station 1 im Werkstücksystem in mm",
+    option="Place of the mount at station 1, workpiece frame, in mm.",
+    shown=lambda setup: _shortly(setup.stations.places_mm[0]),
 )  # fmt: skip
 SHAFT = SetupField(
     flag="--shaft", step=MOUNT, kind=NUMBER, meaning=float, lowest=0,

@@ -14,7 +14,7 @@ from agent.planning.new_machine.fields import PROBE_DIAMETER, STEM, TIP_DIAMETER
 from agent.planning.new_machine.machine_setup import PROPOSED, STATED, MachineSetup
 from agent.planning.new_machine.new_setup import ARTEFACT_FILE, MACHINE_FILE, NewSetup
 from agent.planning.new_machine.spindle import holder_direction, points_up
-from agent.planning.new_machine.station_setup import StationSetup, station_axis
+from agent.planning.new_machine.station_setup import StationSetup, outer_stations, station_axis
 from agent.planning.new_machine.toml_text import TomlText
 
 CONTROLLER_PAGES = {
@@ -194,8 +194,7 @@ def _add_procedure(text: TomlText, setup: NewSetup, position_set: str) -> None:
     text.key("position_set", position_set, "S1 along the axes, S3 along the diagonals of the planes; or a file")
     text.key("touches_per_ball", setup.touches, "5, 9, 13 or 25: more touches, less noise, more minutes")
     text.section("verification", "Fresh positions that prove a new table are measured at these stations.")
-    count = len(stations.places_mm)
-    text.key("stations", sorted({1, count}), "the first and the last")
+    text.key("stations", list(outer_stations(setup.machine, stations)), "those at the ends of the travel")
     if setup.held_out_positions is not None:
         text.key("positions", setup.held_out_positions, "as many as are needed to show the predicted improvement")
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job, reached_balls
 from agent.planning.new_machine.artefact_text import artefact_text
+from agent.planning.new_machine.fields import MOUNT_AT
+from agent.planning.new_machine.machine_setup import STATED
 from agent.planning.new_machine.machine_text import machine_text
 from agent.planning.new_machine.new_setup import (
     ARTEFACT_FILE,
@@ -19,10 +21,13 @@ from agent.planning.new_machine.new_setup import (
     NewSetup,
 )
 from agent.planning.new_machine.settings_text import scenario_text, settings_text
-from agent.planning.new_machine.station_setup import positions_of
+from agent.planning.new_machine.station_setup import positions_of, station_axis
 from agent.settings.load import load_settings
+from drivers.errors import InputError
+from twin.artefact.position_set import Position
 from twin.design.procedure import MIN_BALLS
 from twin.formats.position_set_file import format_positions
+from twin.machine.kinematic_chain import AXES
 
 
 def checked_files(setup: NewSetup, directory: Path) -> tuple[Mapping[str, str], Job]:
@@ -36,14 +41,29 @@ def checked_files(setup: NewSetup, directory: Path) -> tuple[Mapping[str, str], 
     texts = _texts(setup, named or LAST_EFFORT.named_set)
     job = _written(texts, directory)
     if named is not None:
+        _refuse_stated_place(setup, job, job.positions)
         return texts, job
-    measurable = [
-        position
-        for position in positions_of(setup.stations, setup.machine.spindle, is_bar=setup.artefact.is_bar)
-        if reached_balls(job, position) >= MIN_BALLS
-    ]
+    proposed = positions_of(setup.stations, setup.machine.spindle, is_bar=setup.artefact.is_bar)
+    _refuse_stated_place(setup, job, proposed)
+    measurable = [position for position in proposed if reached_balls(job, position) >= MIN_BALLS]
     texts = {**_texts(setup, POSITIONS_FILE), POSITIONS_FILE: format_positions(measurable)}
     return texts, _written(texts, directory)
+
+
+def _refuse_stated_place(setup: NewSetup, job: Job, positions: Sequence[Position]) -> None:
+    """Raise InputError if none of `positions` can be measured at the stated place of the mount."""
+    here = [position for position in positions if position.station == 1]
+    if not here or setup.stations.origins["places_mm"] != STATED:
+        return
+    if all(reached_balls(job, position) < MIN_BALLS for position in here):
+        place = ", ".join(f"{value:g}" for value in setup.stations.places_mm[0])
+        axis = AXES.index(station_axis(setup.machine))
+        low, high = setup.machine.stylus_range(axis)
+        raise InputError(
+            f"no position has three balls within the travel if the mount stands at ({place})",
+            hint=f"the stylus centre reaches {AXES[axis]} from {low:g} to {high:g} mm in the workpiece frame",
+            option=MOUNT_AT.flag,
+        )
 
 
 def _texts(setup: NewSetup, position_set: str) -> dict[str, str]:

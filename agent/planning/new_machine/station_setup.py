@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from agent.planning.new_machine.machine_setup import PROPOSED, STATED, MachineSe
 from agent.planning.new_machine.spindle import points_up
 from twin.artefact.position_set import Position
 from twin.collision.probe_frame import VERTICAL, ProbeFrame
+from twin.errors import DataError
 from twin.machine.kinematic_chain import AXES
 
 MOST_STATIONS = 6
@@ -76,18 +78,23 @@ def propose_stations(
 ) -> StationSetup:
     """Return the stations along the longest horizontal axis, each with the artefact in the middle of the other travels.
 
-    `count`, `first_mm` (place of the mount, of which the coordinates across the stations are used), `shaft_mm` and
-    `table_z_mm` replace proposals.
+    `count`, `first_mm` (place of the mount at station 1), `shaft_mm` and `table_z_mm` replace proposals. The other
+    stations have the same coordinates as the first across their axis, and are spread over the rest of the travel.
     """
     mount = propose_mount(artefact)
-    shaft = float(round(shaft_mm or mount.shaft_mm))
+    shaft = mount.shaft_mm if shaft_mm is None else shaft_mm
     along = _station_axis(machine)
     middle = first_mm or _middle(machine, artefact, shaft, mount, table_z_mm)
     low, high = machine.stylus_range(along)
     inset = min(0.5 * END_SHARE * artefact.size_mm, 0.5 * (high - low))
     number = count or min(MOST_STATIONS, max(2, math.ceil(OVERLAP * (high - low) / artefact.size_mm)))
-    steps = [0.5 * (low + high)] if number == 1 else np.linspace(low + inset, high - inset, number).tolist()
-    places = tuple(_replaced(middle, along, round(value)) for value in steps)
+    first, last = low + inset, high - inset
+    if first_mm is not None:
+        steps = _around(first_mm[along], first, last, number - 1)
+    else:
+        steps = [0.5 * (low + high)] if number == 1 else np.linspace(first, last, number).tolist()
+    others = [_replaced(middle, along, round(value)) for value in steps]
+    places = tuple(others if first_mm is None else (first_mm, *others))
     return StationSetup(
         places_mm=places,
         shaft_mm=shaft,
@@ -100,6 +107,19 @@ def propose_stations(
             "table_z_mm": PROPOSED if table_z_mm is None else STATED,
         },
     )
+
+
+def check_place(machine: MachineSetup, artefact: ArtefactSetup, place_mm: Triple) -> None:
+    """Raise DataError if an artefact whose mount stands at `place_mm` is beyond the reach of the stylus, along the axis
+    of the stations, with all of its balls."""
+    axis = _station_axis(machine)
+    low, high = machine.stylus_range(axis)
+    if not low - 0.5 * artefact.size_mm < place_mm[axis] < high + 0.5 * artefact.size_mm:
+        raise DataError(
+            f"a mount at {AXES[axis]} = {place_mm[axis]:g} mm is beyond the reach of the stylus, which is {low:g} to "
+            f"{high:g} mm there",
+            hint="state the place in the workpiece frame: axis position plus tool offset, in mm",
+        )
 
 
 def propose_mount(artefact: ArtefactSetup) -> MountSize:
@@ -138,6 +158,32 @@ def positions_of(stations: StationSetup, spindle: ProbeFrame, *, is_bar: bool = 
 def station_axis(machine: MachineSetup) -> str:
     """Return the letter of the axis along which the stations stand."""
     return AXES[_station_axis(machine)]
+
+
+def outer_stations(machine: MachineSetup, stations: StationSetup) -> tuple[int, ...]:
+    """Return the numbers of the stations nearest to the ends of the travel along which they stand."""
+    axis = _station_axis(machine)
+    values = [place[axis] for place in stations.places_mm]
+    return tuple(sorted({values.index(min(values)) + 1, values.index(max(values)) + 1}))
+
+
+def _around(stated: float, first: float, last: float, count: int) -> list[float]:
+    """Return `count` further places along an axis between `first` and `last`, in ascending order, that are evenly
+    spaced on each side of the stated one.
+
+    Their numbers on both sides are those with which the farthest point of the axis is nearest to a station.
+    """
+
+    def spread(below: int) -> tuple[float, list[float]]:
+        lower = np.linspace(first, stated, below + 1)[:-1].tolist()
+        upper = np.linspace(stated, last, count - below + 1)[1:].tolist()
+        places = sorted((stated, *lower, *upper))
+        gaps = [0.5 * (after - before) for before, after in pairwise(places)]
+        return max(places[0] - first, last - places[-1], *gaps), [*lower, *upper]
+
+    if not first < stated < last:
+        return spread(0 if stated <= first else count)[1]
+    return min(map(spread, range(count + 1)))[1]
 
 
 def _station_axis(machine: MachineSetup) -> int:

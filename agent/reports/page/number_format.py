@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.figures.numbers import significant
 from agent.results.facts import Quantity
 
 COVERAGE = 2.0
@@ -38,10 +39,7 @@ def number(value: float, digits: int = 3) -> str:
     """
     if value == 0.0:
         return "0"
-    text = f"{value:.{digits}g}"
-    if "e" in text:
-        text = f"{float(text):.0f}" if abs(value) >= 1.0 else f"{value:.1e}"
-    return text.replace("-", MINUS)
+    return significant(value, digits).replace("-", MINUS)
 
 
 def fixed(value: float, decimals: int) -> str:

@@ -13,6 +13,7 @@ from agent.reports.page.number_format import Table, fixed, micrometres, number
 from agent.reports.page.run_figures import draw_verification
 from agent.reports.page.texts import Texts
 from agent.results.facts import ArtefactFacts
+from agent.results.gates import GATE_RULES
 from twin.arrays import Array
 
 
@@ -56,7 +57,7 @@ def gates(data: ReportData) -> list[dict[str, Any]]:
             "name": gate.name,
             "text": gate.text,
             "value": number(gate.value, 3),
-            "limit": "none" if np.isinf(gate.limit) else number(gate.limit, 3),
+            "limit": "none" if np.isinf(gate.limit) else f"{GATE_RULES[gate.name].sign} {number(gate.limit, 3)}",
             "passed": gate.passed,
         }
         for gate in data.gates

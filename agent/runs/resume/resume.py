@@ -19,7 +19,7 @@ from agent.execution.run_state import RunStateTracker
 from agent.execution.states import RunState
 from agent.planning.job_preparation import prepare_job
 from agent.runs.origin import Origin, read_origin
-from agent.runs.reconcile import reconcile
+from agent.runs.reconcile import reconcile, unproved_run
 from agent.runs.resume.replay_clock import ResumedClock
 from agent.runs.resume.replay_engine import Replay, ReplayingEngine, require_crc
 from agent.runs.resume.return_to_position import ReturnToPosition
@@ -73,7 +73,7 @@ def _resume_once(
         journal, recorded = resources.journal.continue_run(origin.start.run, run_id, clock)
         record_asked(journal, asked)
         tracker = RunStateTracker(journal, hooks.announce, recorded.states)
-        steps = StepProgress(tracker, hooks.observe, rig.link_interruptions)
+        steps = StepProgress(tracker, hooks.observe, rig)
         replay = Replay(recorded, run_clock, StepTrace())
         actions = run_actions(rig, journal, tracker, resources.supervisor, hooks)
         engine = ReplayingEngine(actions, journal, steps.observe, replay, stored_tables(journal, rig))
@@ -108,7 +108,14 @@ def resumable_origin(state_directory: Path) -> Origin:
     run = unfinished_run(state_directory)
     file = str(state_directory / FILE_NAME)
     if run is None:
-        raise InputError("there is no run to resume: the last one ended regularly", file=file)
+        unproved = unproved_run(state_directory)
+        hint = (
+            f"run {unproved} wrote a table that was neither proved nor taken back; if that one still acts, "
+            "`volcal resume --give-up` makes the former table active again"
+        )
+        raise InputError(
+            "there is no run to resume: the last one has ended", hint=hint if unproved is not None else "", file=file
+        )
     if not run.resumable:
         raise InputError(f"run {run.run_id} cannot be resumed: {run.refusal}", file=file)
     with open_journal(state_directory) as reader:

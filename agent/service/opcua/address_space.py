@@ -18,7 +18,7 @@ from asyncua.ua.attribute_ids import AttributeIds
 from asyncua.ua.object_ids import ObjectIds
 from asyncua.ua.status_codes import StatusCodes
 
-from agent.errors import Busy
+from agent.errors import Busy, NotAllowedInState
 from agent.runs.run_request import run_request
 from agent.service.alarms import alarm_of
 from agent.service.control import Alarm, Control, Event, Status
@@ -274,8 +274,8 @@ def _value(argument: Argument, variant: ua.Variant) -> Any:
 
 
 def _status_code(error: Exception) -> int:
+    if isinstance(error, Busy | PermissionMissing | NotAllowedInState):
+        return StatusCodes.BadInvalidState
     if isinstance(error, UserError):
         return StatusCodes.BadInvalidArgument
-    if isinstance(error, Busy | PermissionMissing):
-        return StatusCodes.BadInvalidState
     return StatusCodes.BadUnexpectedError

@@ -9,7 +9,7 @@ from queue import Queue
 
 import structlog
 
-from agent.errors import Busy, PlanRefused
+from agent.errors import Busy, NotAllowedInState, PlanRefused
 from agent.execution.states import RunState
 from agent.model_files import load_machine
 from agent.planning.job import Job
@@ -292,7 +292,7 @@ class Owner:
     def _require(self, what: str, why: str) -> None:
         status = self._board.status()
         if what not in status.may:
-            raise UserError(f"{what} is not allowed in state {status.state.value}", hint=why)
+            raise NotAllowedInState(f"{what} is not allowed in state {status.state.value}", hint=why)
 
     def _on_running(self, action: Callable[[RunMailbox], None], text: str) -> None:
         with self._changed:

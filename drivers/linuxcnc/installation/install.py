@@ -17,6 +17,7 @@ from typing import NamedTuple
 from drivers.errors import InputError
 from drivers.linuxcnc.installation.changes import FileChange, require_writable
 from drivers.linuxcnc.installation.ini_file import IniFile
+from drivers.linuxcnc.installation.kinematics import NamedKinematics, loaded_kinematics, notes_on
 
 HALLIB = Path("/usr/share/linuxcnc/hallib")
 """Directory in which LinuxCNC searches for HAL files that are not beside the INI file."""
@@ -54,10 +55,12 @@ def plan_installation(ini_path: Path, *, directory: Path | None, probe_pin: str 
     require_writable(ini_path)
     ini.without_marked_lines()  # raises if a mark is damaged
     _require_other_method_unused(ini)
-    made = links(_hal_texts(ini, ini_path))
+    texts = _hal_texts(ini, ini_path)
+    on_kinematics = _notes_on_kinematics(ini, texts)
+    made = links(texts)
     text, notes = adapted((COMPONENTS / COMPENSATION_HAL).read_text(encoding="utf-8"), made)
     files = {COMPENSATION_HAL: text}
-    notes += _probe(files, made, probe_pin)
+    notes += [*on_kinematics, *_probe(files, made, probe_pin)]
     tables = _add_entries(ini, files, directory)
     changes = [_own_file(ini_path.parent / name, content) for name, content in files.items()]
     if ini.content() != before:
@@ -205,6 +208,19 @@ def _require_other_method_unused(ini: IniFile) -> None:
             hint="one method is enough; use method = 'kinematics' in volcal's settings",
             file=str(ini.path),
         )
+
+
+def _notes_on_kinematics(ini: IniFile, texts: list[tuple[str, str]]) -> list[str]:
+    """Return notes on the kinematics. Raises InputError if they are not those of three slides."""
+    section = ini.section("KINS")
+    named = (
+        [] if section is None else [entry for entry in ini.entries(section) if entry[1] == "KINEMATICS" and entry[2]]
+    )
+    in_ini = [NamedKinematics(value, str(ini.path), index + 1) for index, _, value in named[:1]]
+    found = [*in_ini, *loaded_kinematics(texts)]
+    if not found:
+        return ["the kinematics are not named in the INI file or its HAL files: only three slides can be compensated"]
+    return [note for kinematics in found for note in notes_on(kinematics)]
 
 
 def _still_to_do(ini: IniFile, made: dict[str, Link], probe_pin: str | None) -> list[str]:

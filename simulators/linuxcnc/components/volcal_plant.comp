@@ -13,6 +13,7 @@ pin out float temperature-#[3] "artefact, machine, ambient; degrees Celsius";
 pin out float tip-position-#[3] "workpiece frame, mm";
 pin out u32 trips "number of probe trips";
 pin out u32 overrun "number of times the tip was pressed beyond the overtravel";
+param rw float bounce-s = 0 "time for which the contact of the probe bounces after a trip, s";
 option singleton yes;
 option extra_setup yes;
 option extra_cleanup yes;
@@ -37,7 +38,8 @@ static plant_memory *memory;
 static size_t mapped;
 static plant_scene scene; /* last consistent scene */
 static double before[3], lag[3], scatter[3], travelled, tip_before[3];
-static int begun, touching = -1, over, tripped;
+static int begun, touching = -1, over, tripped, cycles_since_trip;
+static double since_trip_s;
 static rtapi_u32 motions, touches, trip_count, overrun_count;
 static int was_moving[3];
 
@@ -119,6 +121,13 @@ static void update_probe(const double *tip, const double *motion, double length)
     if (!over && depth > scene.overtravel_mm) over = 1, overrun_count++;
 }
 
+/* Return the signal of the probe, whose contact opens in every other cycle while it bounces. */
+static int contact(double period_s, double bouncing_s) {
+    since_trip_s = tripped ? since_trip_s + period_s : 0.0;
+    cycles_since_trip = tripped ? cycles_since_trip + 1 : 0;
+    return tripped && (since_trip_s > bouncing_s || cycles_since_trip % 2 == 1);
+}
+
 FUNCTION(_) {
     double bare[3], deviation[3], tip[3], motion[3];
     ready = memory && plant_read_scene(memory, &scene);
@@ -134,7 +143,7 @@ FUNCTION(_) {
         tip_position(a) = tip[a];
     }
     update_probe(tip, motion, sqrt(motion[0] * motion[0] + motion[1] * motion[1] + motion[2] * motion[2]));
-    probe = tripped, trips = trip_count, overrun = overrun_count;
+    probe = contact(fperiod, bounce_s), trips = trip_count, overrun = overrun_count;
     memcpy(tip_before, tip, sizeof tip);
     plant_trace(memory, tip);
 }

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from agent.errors import Busy, RunError
 from agent.service.alarms import CODES, DEFECT, alarm_code, alarm_of
-from drivers.errors import LinkLost, MotionFault, StoreError, VolcalError
+from drivers.errors import InputError, LinkLost, MotionFault, StoreError, UserError, VolcalError
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "reference" / "alarms.md"
 
@@ -51,6 +51,12 @@ def test_the_document_lists_the_same_numbers_texts_and_hints():
     expected = [(str(entry.code), kind.__name__, entry.text, entry.hint) for kind, entry in CODES.items()]
     expected.append((str(DEFECT.code), "any other", DEFECT.text, DEFECT.hint))
     assert rows == expected
+
+
+def test_only_an_error_of_a_file_says_to_correct_a_file():
+    assert alarm_of(InputError("a", file="balls.csv")).hint == CODES[InputError].hint
+    assert alarm_of(InputError("there is no kind of run 'polish'")).hint == CODES[UserError].hint
+    assert alarm_of(InputError("there is no kind of run 'polish'")).code == 202
 
 
 def test_an_alarm_keeps_the_words_and_places_of_its_error():

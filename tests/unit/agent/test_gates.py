@@ -76,7 +76,7 @@ def test_refusal_names_every_gate_that_did_not_pass() -> None:
     gates = [Gate("fit", False, 3.0, 2.0, "x"), Gate("gain", True, 0.5, 0.25, "y"), Gate("slope", False, 1.0, 0.5, "z")]
     with pytest.raises(GateRefused) as caught:
         require_passed(gates)
-    assert "gate fit: 3 against 2 (gates.max_chi2; " in str(caught.value)
+    assert "gate fit: 3, required ≤ 2 (gates.max_chi2; " in str(caught.value)
     assert "gate slope" in str(caught.value)
     assert "gate gain" not in str(caught.value)
     require_passed([gates[1]])

@@ -16,7 +16,8 @@ import pytest
 from rich.console import Console
 
 import agent.cli
-from agent.cli.printing import columns_table, facts_table, results_console
+from agent.cli.printing import columns_table, facts_table, gates_table, results_console
+from agent.results.gate_forecast import GateForecast
 
 PATH = "/var/lib/volcal/a-machine-with-a-long-name/20261122T124825Z-fe2a/another-long-folder-of-the-plant/report.html"
 RUN = "20261122T124825Z-fe2a"
@@ -29,6 +30,30 @@ console = results_console()
 console.print(table)
 console.print("report: {PATH}", markup=False)
 """
+
+FORECASTS = [
+    GateForecast(
+        "gain", "verification.min_gain", 0.1, 0.25, False, "text", "measure more positions or lower it. " * 12, "≥"
+    ),
+    GateForecast(
+        "correction", "gates.common_scale_false_alarm", 1061.0, 1000.0, False, "text", "narrow the range", "≤"
+    ),
+    GateForecast("redundancy", "gates.min_degrees_of_freedom", None, 10610.0, True, "text", "", "≥"),
+]
+
+
+@pytest.mark.parametrize("width", [80, 300, 100_000])
+def test_the_table_of_the_gates_fits_a_page_and_says_on_which_side_of_a_limit_a_value_passes(width: int) -> None:
+    console = Console(width=width, file=io.StringIO(), highlight=False, soft_wrap=True)
+    console.print(gates_table(FORECASTS))
+    assert isinstance(console.file, io.StringIO)
+    text = console.file.getvalue()
+    assert max(map(len, text.splitlines())) <= min(width, 96)
+    assert "0.1 │ ≥ 0.25" in re.sub(" +", " ", text)
+    assert "1061 │ ≤ 1000 │ refuse" in re.sub(" +", " ", text.replace("1060", "1061"))
+    assert "no bound │ ≥ 10600" in re.sub(" +", " ", text)
+    assert "e+0" not in text
+    assert text.count("lower it.") == 12
 
 
 def in_terminal(columns: int) -> str:

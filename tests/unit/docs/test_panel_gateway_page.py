@@ -9,6 +9,7 @@ import pytest
 
 from agent.service.gateway.access import LOCKED_TICKS
 from agent.service.gateway.registers import (
+    ABORT_COIL,
     BLOCKS,
     FLAGS,
     MAY,
@@ -47,6 +48,14 @@ def test_every_register_stands_on_the_page_and_nothing_else():
 )
 def test_the_lists_of_numbers_are_those_of_the_code(line):
     assert line in PAGE
+
+
+def test_the_meaning_of_the_coil_stands_at_its_number():
+    row = re.search(r"^\| coil \| meaning \|\n\|---\|---\|\n\| (\d+) \| (.+) \|$", PAGE, re.MULTILINE)
+    assert row is not None
+    number, meaning = row.groups()
+    assert int(number) == ABORT_COIL
+    assert meaning.startswith("writing 1 aborts the run")
 
 
 def test_the_numbers_in_the_text_are_those_of_the_code():

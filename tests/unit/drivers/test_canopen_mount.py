@@ -250,7 +250,13 @@ def test_silent_drive_is_a_timeout_that_says_what_to_check() -> None:
 def test_late_heartbeat_is_checked_by_sdo() -> None:
     with rig() as bench:
         bench.azimuth_node.stop_heartbeat()
+        assert bench.mount.impairments() == []
         assert bench.mount.orient_to(90.0, 0.0) == Orientation(90.0, 0.0)
+        (text,) = bench.mount.impairments()
+        assert "azimuth (node 5) sends no heartbeat, but still answers" in text
+        bench.mount.close()
+        bench.mount.open()
+        assert bench.mount.impairments() == []
 
 
 def test_heartbeat_loss_of_a_drive_that_is_no_longer_polled() -> None:

@@ -265,3 +265,47 @@ def test_the_command_is_declared_as_an_entry_point() -> None:
     for group, wanted in (("volcal.commands", linuxcnc_group), ("volcal.command_help", linuxcnc_group.help)):
         module, _, name = project[group]["linuxcnc"].partition(":")
         assert getattr(import_module(module), name) == wanted
+
+
+@pytest.mark.parametrize("kinematics", ["scarakins coordinates=xyzcab", "5axiskins", "genhexkins", "userkins"])
+def test_other_kinematics_than_three_slides_are_refused(kinematics: str, tmp_path: Path) -> None:
+    machine = Machine(tmp_path)
+    machine.ini.write_text(INI.replace("KINEMATICS = trivkins", f"KINEMATICS = {kinematics}"), encoding="utf-8")
+    error = machine.refused("install", "--directory", "tables")
+    assert f"the kinematics {kinematics.split(maxsplit=1)[0]}" in str(error)
+    assert "trivkins" in error.hint
+
+
+def test_kinematics_that_a_hal_file_loads_are_refused_too(tmp_path: Path) -> None:
+    machine = Machine(tmp_path)
+    machine.hal("core.hal", "loadrt pumakins  # robot\nloadrt motmod\n")
+    error = machine.refused("install", "--directory", "tables")
+    assert "the kinematics pumakins" in str(error)
+    assert error.where["file"].endswith("core.hal")
+    assert error.where["line"] == "1"
+
+
+@pytest.mark.parametrize(
+    ("kinematics", "note"),
+    [
+        ("trivkins coordinates=XYZAB", "the axes A and B are not compensated"),
+        ("trivkins coordinates=xyzc kinstype=BOTH", "the axis C is not compensated"),
+        ("corexykins", "two motors move X and Y together"),
+    ],
+)
+def test_what_is_compensated_on_a_machine_with_more_than_three_slides(
+    kinematics: str, note: str, tmp_path: Path
+) -> None:
+    machine = Machine(tmp_path)
+    machine.ini.write_text(INI.replace("KINEMATICS = trivkins", f"KINEMATICS = {kinematics}"), encoding="utf-8")
+    assert note in machine.install()
+
+
+def test_kinematics_that_are_not_named_are_noted(tmp_path: Path) -> None:
+    machine = Machine(tmp_path)
+    machine.ini.write_text(INI.replace("KINEMATICS = trivkins", ""), encoding="utf-8")
+    assert "the kinematics are not named" in machine.install()
+
+
+def test_three_slides_need_no_note_about_kinematics(tmp_path: Path) -> None:
+    assert "compensated" not in Machine(tmp_path).install()

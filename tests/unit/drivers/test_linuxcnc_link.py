@@ -339,6 +339,23 @@ class TestDoctor:
         assert "JOINT_1" not in found["homing"].text
         assert "external offsets have no effect" in found["[AXIS_*]OFFSET_AV_RATIO"].text
 
+    @pytest.mark.parametrize(
+        ("version", "ok", "text"),
+        [
+            ("2.8.4", False, "older than 2.9"),
+            ("2.9.0~pre1", True, "the contact bounces"),
+            ("2.9.4", True, "releases before 2.9.5"),
+            ("2.9.5", True, "LinuxCNC 2.9.5: motion, probing and compensation"),
+            ("2.10.0~pre0", None, "its HAL interface has changed"),
+            ("master", None, "is no release"),
+        ],
+    )
+    def test_what_a_version_is_good_for(self, make: Make, version: str, ok: bool | None, text: str) -> None:
+        ini = [{"ok": {"values": INI}}, {"ok": {"values": [None] * 10}}]
+        found = self.findings(make(script(hello=[{"ok": HELLO | {"version": version}}], ini=ini)))["version"]
+        assert found.ok is ok
+        assert text in found.text
+
     def test_heartbeats_that_cannot_be_watched_are_reported(self, make: Make) -> None:
         hello = HELLO | {"watched": ["motion"]}
         ini = [{"ok": {"values": INI}}, {"ok": {"values": [None] * 10}}]

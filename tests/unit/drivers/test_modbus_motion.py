@@ -109,6 +109,17 @@ def test_a_latch_off_the_path_is_refused(cnc: ModbusCnc, plc: FakePlc) -> None:
         cnc.touch_towards(np.array([100.0, 210.0, 300.0]), feed_mm_per_s=5.0)
 
 
+def test_a_latch_that_never_changes_is_refused(cnc: ModbusCnc, plc: FakePlc) -> None:
+    """The old value lies on the path, and the controller gives it the number of the present touch."""
+    plc.wrong_latch = (100.0, 204.00012, 300.0)
+    with pytest.raises(ProtocolError, match="repeated touches agree too well"):
+        for _ in range(11):
+            cnc.move_to(np.array([100.0, 200.0, 300.0]), feed_mm_per_s=None, guarded=False)
+            plc.trip_at_mm = 4.0
+            cnc.touch_towards(np.array([100.0, 210.0, 300.0]), feed_mm_per_s=5.0)
+            plc.trip_at_mm = None
+
+
 def test_a_guard_trip_is_reported_and_its_fault_cleared(cnc: ModbusCnc, plc: FakePlc) -> None:
     plc.trip_at_mm = 20.0
     with pytest.raises(GuardTripped, match=r"near X 120\.000"):

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from gcode.correction import correct_program
 from gcode.flattening import flattener
 from gcode.setup import CorrectionOptions, PartSetup
+from gcode.setup_file import parse_part_setup
 from twin.compensation.table import Anchor, CompensationTable, regular_nodes
 from twin.errors import FormatError
 
@@ -27,7 +28,8 @@ def flat(
     program: str, parameters: dict[str, float] | None = None, files: dict[str, str] | None = None, **setup: object
 ) -> list[str]:
     """Return the blocks of a program that is corrected with a table of zeros."""
-    start = PartSetup({"G54": (0.0, 0.0, 0.0)}, start=(0.0, 0.0, 0.0), parameters=parameters or {}, **setup)  # type: ignore[arg-type]
+    known = {"work_offsets": {"G54": (0.0, 0.0, 0.0)}, **setup}
+    start = PartSetup(start=(0.0, 0.0, 0.0), parameters=parameters or {}, **known)  # type: ignore[arg-type]
     written: list[str] = []
 
     def found(name: str) -> Iterable[str] | None:
@@ -139,6 +141,49 @@ def test_numbered_subprograms() -> None:
     assert flat(program) == ["%", "O1", "G4 P1", "G4 P2", "G4 P3", "M30", "%"]
 
 
+POLAR_START = "G90 G0 X20 Y0 Z0"
+
+
+@pytest.mark.parametrize(
+    ("before", "block", "end"),
+    [
+        ("", "G91 G1 @-1 ^30 F100", (16.4545, 9.5, 0.0)),
+        ("", "@-1 ^30 F100 G1 G91", (16.4545, 9.5, 0.0)),
+        ("G91", "G90 G1 @10 ^90 F100", (0.0, 10.0, 0.0)),
+        ("", "G91 G0 ^[60 - 30]", (17.3205, 10.0, 0.0)),
+        ("", "G55 G1 @10 ^0 F100", (15.0, -5.0, 0.0)),
+        ("", "G20 G1 @1 ^90 F100", (0.0, 25.4, 0.0)),
+        ("", "G43.1 Z3\nG49 G1 @10 F100 Z4", (10.0, 0.0, 4.0)),
+        ("", "G91 G3 @0 ^90 I-20 J0 F100", (0.0, 20.0, 0.0)),
+    ],
+)
+def test_polar_coordinates_belong_to_the_modes_of_their_own_block(
+    before: str, block: str, end: tuple[float, float, float]
+) -> None:
+    program = f"{POLAR_START}\n{before}\n{block}\nG21 G54 G90\nG4 P#5420\nG4 P#5421\nG4 P#5422\n"
+    blocks = flat(program, work_offsets={"G54": (0.0, 0.0, 0.0), "G55": (5.0, -5.0, 0.0)})
+    assert [float(line.removeprefix("G4 P")) for line in blocks[-3:]] == pytest.approx(end, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("block", "reason"),
+    [
+        ("G53 G0 @10 ^30", "G53 cannot use them"),
+        ("G28 @10 ^30", "a code that uses the axis words"),
+        ("G92 @10 Z3", "a code that uses the axis words"),
+        ("G1 @10 X3 F100", "X or Y together"),
+        ("G18 G1 @10 F100", "need G17"),
+        ("G0 X0 Y0\nG1 @10 F100", "has no angle"),
+        ("G0 X0 Y0\nG91 G1 @10 ^30 F100", "has no angle"),
+        ("@10 @20", "occurs twice"),
+        ("G80 @10", "none of G0 to G3"),
+    ],
+)
+def test_polar_coordinates_that_are_no_motion_are_refused(block: str, reason: str) -> None:
+    with pytest.raises(FormatError, match=reason):
+        flat(f"{POLAR_START}\n{block}\n")
+
+
 def test_canned_cycles_become_moves() -> None:
     blocks = flat("G61 G0 X1 Y1 Z10\nG99 G81 X5 Z-2 R1 F100\nY3\nG98 X7\nG80\nG0 X0")
     first, second = ["G0 X5.000", "G0 Z1.000", "G1 Z-2.000", "G0 Z1.000"], ["G0 Y3.000", "G1 Z-2.000", "G0 Z1.000"]
@@ -205,6 +250,67 @@ def test_the_hint_after_a_tool_change() -> None:
         flat("T1 M6\nG1 X1 F100")
     with pytest.raises(FormatError, match="--tool-change stays"):
         flat("T1 M6\nG81 X1 Z-1 R1")
+
+
+def test_levels_of_a_canned_cycle_belong_to_one_frame() -> None:
+    cycle = "G98 G0 X0 Y0 Z10\nG81 X1 Z-3 R2 F100"
+    for change in ("G20", "G18", "G92 Z5", "G43.1 Z3", "G10 L20 P1 Z1"):
+        with pytest.raises(FormatError, match="has changed during a canned cycle"):
+            flat(f"{cycle}\n{change}\nX2")
+        # After G80 the levels are those of the new block.
+        flat(f"{cycle}\nG80\n{change}\nG81 X2 Y-9 Z-9 R-8")
+
+
+def test_a_tool_length_is_no_canned_cycle() -> None:
+    blocks = flat("G61 G99 G0 X0 Y0 Z10\nG81 X1 Z-3 R2 F100\nG43.1 X4\nG80")
+    assert blocks[-2:] == ["G43.1 X4", "G80"]
+
+
+def test_pecks_return_to_r_and_reaming_feeds_to_r() -> None:
+    peck = flat("G61 G98 G0 X0 Y0 Z10\nG83 Z-2 R2 Q3 F100")
+    assert peck[-6:] == ["G0 Z2.000", "G1 Z-1.000", "G0 Z2.000", "G0 Z-0.746", "G1 Z-2.000", "G0 Z10.000"]
+    assert flat("G61 G98 G0 X0 Y0 Z10\nG85 Z-2 R2 F100")[-3:] == ["G1 Z-2.000", "G1 Z2.000", "G0 Z10.000"]
+
+
+@pytest.mark.parametrize(("retract", "last"), [("G98", "G0 Z10.000"), ("G99", "G0 Z2.000")])
+def test_the_level_to_which_a_cycle_returns_must_be_known(retract: str, last: str) -> None:
+    program = "G61 G0 X0 Y0 Z10\nG81 X1 Z-3 R2 F100"
+    with pytest.raises(FormatError, match="initial level or to R"):
+        flat(program)
+    assert flat(program, retract=retract)[-1] == last
+    other = "G98" if retract == "G99" else "G99"
+    assert flat(f"{retract}\nM70\n{other}\nM72\n{program}")[-1] == last
+    # Both are the same from R.
+    assert flat("G61 G0 X0 Y0 Z2\nG81 X1 Z-3 R2 F100")[-1] == "G0 Z2.000"
+
+
+def test_the_setup_file_states_the_level_to_which_cycles_return() -> None:
+    assert parse_part_setup('retract = "G99"', "setup.toml").retract == "G99"
+    assert parse_part_setup("", "setup.toml").retract is None
+    with pytest.raises(FormatError, match="retract"):
+        parse_part_setup('retract = "G97"', "setup.toml")
+
+
+def test_repeated_holes_at_a_polar_place_are_at_one_place() -> None:
+    blocks = flat("G61 G99 G0 X10 Y0 Z5\nG81 @-10 Z-1 R5 L2 F100")
+    assert [block for block in blocks if "X" in block] == ["G61 G99 G0 X10.000 Y0.000 Z5.000", "G0 X-10.000"]
+
+
+@pytest.mark.parametrize(
+    ("program", "reason"),
+    [
+        ("G91 G10 L2 P1 X5", "G10 L2 with G91"),
+        ("G64 P0.01 G99 G82 Z-1 R0 F100", "may belong to either"),
+    ],
+)
+def test_what_controllers_interpret_differently_is_refused(program: str, reason: str) -> None:
+    with pytest.raises(FormatError, match=reason):
+        flat(program)
+
+
+def test_a_tolerance_of_the_path_is_no_number_of_a_reference_point() -> None:
+    blocks = flat("G64 P0.01 G30 X1\nG0 X0\nG4 P#5420", reference_points={"G30": (7.0, 0.0, 0.0)})
+    assert blocks[-1] == "G4 P0"
 
 
 def test_saved_states_are_restored_with_plain_codes() -> None:

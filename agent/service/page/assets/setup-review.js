@@ -49,8 +49,8 @@ const named = (gate) => gate.replaceAll(" ", "_");
 
 function gates(list) {
   const heads = ["review.gate", "review.expected", "review.limit", "", "review.key"].map((key) => (key ? say(key) : ""));
-  return table(heads, list.map(({ gate, expected, limit, passes, key }) => [
-    known(`gate.${named(gate)}`) ? say(`gate.${named(gate)}`) : gate, expected === null ? "∞" : number(expected, 3), number(limit, 3),
+  return table(heads, list.map(({ gate, expected, comparison, limit, passes, key }) => [
+    known(`gate.${named(gate)}`) ? say(`gate.${named(gate)}`) : gate, expected === null ? "∞" : number(expected, 3), `${comparison} ${number(limit, 3)}`,
     passes ? make("span", { className: "passes" }, `✓ ${say("review.passes")}`)
       : make("span", {}, make("span", { className: "fails" }, `✕ ${say("review.fails")}`), " ", say(`remedy.${named(gate)}`)),
     make("code", {}, key)]));
