@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 
 from gcode.codes import AXIS_LETTERS
-from gcode.modal import UNKNOWN, XY_PLANE, ModalState
-from gcode.polar import POLAR, polar_end
+from gcode.modal import UNKNOWN, ModalState
+from gcode.polar import POLAR, polar_end, require_polar_plane
 from gcode.setup import NO_OFFSET, SYSTEMS, Triple
 from gcode.words import Block
 from gcode.writer import ProgramWriter
@@ -57,10 +57,7 @@ def _polar_target(block: Block, modal: ModalState, machine: bool) -> Triple:
     values, unit, position = block.values, modal.unit_mm, modal.position
     if machine:
         block.refuse("polar coordinates count from the zero point of the program, so G53 cannot use them")
-    if "X" in values or "Y" in values:
-        block.refuse("X or Y together with polar coordinates")
-    if modal.plane != XY_PLANE:
-        block.refuse("polar coordinates need G17")
+    require_polar_plane(values, modal.plane, block.source)
     zero = program_zero(block, modal)
     if not modal.position_known:
         block.refuse("the position of the axes at this line is not known", modal.start_hint)

@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Container
 
+from gcode.modal import XY_PLANE
 from gcode.source import SourceLine
 
 POLAR = frozenset("@^")
 
 # Far above the floating-point noise of added offsets, far below any distance that a program names.
 _NO_DISTANCE = 1e-9
+
+
+def require_polar_plane(letters: Container[str], plane: int, source: SourceLine) -> None:
+    """Raise FormatError if a block with polar coordinates also has X or Y among its `letters`, or if the `plane`, as
+    `ModalState.plane` states it, is not that of X and Y."""
+    if "X" in letters or "Y" in letters:
+        source.refuse("X or Y together with polar coordinates")
+    if plane != XY_PLANE:
+        source.refuse("polar coordinates need G17")
 
 
 def polar_end(

@@ -14,6 +14,7 @@ from twin.errors import DataError
 from twin.formats.ball_file import BallFile
 from twin.formats.estimate_file import StoredEstimate
 from twin.identification import Estimate
+from twin.units import MICRO_UNITS, UM_PER_MM
 from volcal.estimation import Prediction
 from volcal.position_design import Design
 from volcal.simulation import Simulation
@@ -63,7 +64,8 @@ def _balls(balls: BallFile) -> Columns:
         "ball": seen.ball,
         **{f"{axis}_mm": seen.axis_positions[:, index] for index, axis in enumerate(AXIS_NAMES)},
         **{
-            f"sigma_{axis}_um": 1e3 * np.sqrt(seen.covariance[:, index, index]) for index, axis in enumerate(AXIS_NAMES)
+            f"sigma_{axis}_um": UM_PER_MM * np.sqrt(seen.covariance[:, index, index])
+            for index, axis in enumerate(AXIS_NAMES)
         },
         "temperature_c": seen.temperature_c,
     }
@@ -78,19 +80,15 @@ def _simulation(simulation: Simulation) -> Columns:
 @columns.register(StoredEstimate)
 def _estimate(estimate: Estimate | StoredEstimate) -> Columns:
     parameters = estimate.model.parameters
+    units = [MICRO_UNITS[one.unit] for one in parameters]
+    factors = np.array([factor for _, factor in units])
     return {
         "name": [one.name for one in parameters],
         "error": [one.error for one in parameters],
         "order": [one.order for one in parameters],
-        "unit": ["µm" if one.unit == "mm" else "µrad" for one in parameters],
-        "value": [
-            (1e3 if one.unit == "mm" else 1e6) * value
-            for one, value in zip(parameters, estimate.parameters.tolist(), strict=True)
-        ],
-        "standard_uncertainty": [
-            (1e3 if one.unit == "mm" else 1e6) * value
-            for one, value in zip(parameters, np.sqrt(np.diagonal(estimate.covariance)).tolist(), strict=True)
-        ],
+        "unit": [name for name, _ in units],
+        "value": factors * estimate.parameters,
+        "standard_uncertainty": factors * np.sqrt(np.diagonal(estimate.covariance)),
     }
 
 
@@ -99,15 +97,15 @@ def _prediction(prediction: Prediction) -> Columns:
     sigma = prediction.standard_uncertainty_mm
     return {
         **{f"{axis}_mm": prediction.points_mm[:, index] for index, axis in enumerate(AXIS_NAMES)},
-        **{f"error_{axis}_um": 1e3 * prediction.error_mm[:, index] for index, axis in enumerate(AXIS_NAMES)},
-        **{f"standard_uncertainty_{axis}_um": 1e3 * sigma[:, index] for index, axis in enumerate(AXIS_NAMES)},
+        **{f"error_{axis}_um": UM_PER_MM * prediction.error_mm[:, index] for index, axis in enumerate(AXIS_NAMES)},
+        **{f"standard_uncertainty_{axis}_um": UM_PER_MM * sigma[:, index] for index, axis in enumerate(AXIS_NAMES)},
     }
 
 
 @columns.register
 def _compensation_table(table: CompensationTable) -> Columns:
     nodes = np.stack(np.meshgrid(*table.nodes, indexing="ij"), axis=-1).reshape(-1, 3)
-    corrections = 1e3 * table.corrections.reshape(-1, 3)
+    corrections = UM_PER_MM * table.corrections.reshape(-1, 3)
     return {
         **{f"{axis}_mm": nodes[:, index] for index, axis in enumerate(AXIS_NAMES)},
         **{f"correction_{axis}_um": corrections[:, index] for index, axis in enumerate(AXIS_NAMES)},

@@ -30,6 +30,7 @@ from twin.artefact.observations import Observations
 from twin.compensation.table import Anchor, CompensationTable, MeasuredRegion, Nodes, build_table, regular_nodes
 from twin.formats.estimate_file import (
     VolumetricSection,
+    ball_shift_documents,
     common_scale_document,
     format_estimate,
     pattern_document,
@@ -92,7 +93,7 @@ class EstimationResult:
             "chi2_normalised": estimate.chi2_normalised,
             "step_in_run": step_document(estimate.step),
             "shift_pattern": pattern_document(estimate.pattern),
-            "ball_shifts": [asdict(shift) for shift in estimate.shifts],
+            "ball_shifts": ball_shift_documents(estimate.shifts),
             "common_scale": common_scale_document(estimate.common_scale),
             "rejected": [list(row) for row in estimate.rejected],
         }

@@ -14,8 +14,8 @@ from gcode.arcs import PLANE_AXES
 from gcode.codes import AXIS_LETTERS, MOTIONS
 from gcode.flattening.statements import BlockWord, Statement, block_text, number_text
 from gcode.flattening.system_parameters import program_position
-from gcode.modal import MM_PER_INCH, XY_PLANE, ModalState
-from gcode.polar import POLAR, polar_end
+from gcode.modal import MM_PER_INCH, ModalState
+from gcode.polar import POLAR, polar_end, require_polar_plane
 from gcode.source import SourceLine
 
 CYCLES = (730, 810, 820, 830, 850, 860, 890)
@@ -237,10 +237,7 @@ def cartesian(words: tuple[BlockWord, ...], source: SourceLine, modal: ModalStat
     if not polar:
         return words
     others = [word for word in words if word.letter not in POLAR]
-    if any(word.letter in "XY" for word in others):
-        source.refuse("X or Y together with polar coordinates")
-    if modal.plane != XY_PLANE:
-        source.refuse("polar coordinates need G17")
+    require_polar_plane([word.letter for word in others], modal.plane, source)
     x, y, _ = program_position(modal, source)
     end_x, end_y = polar_end(x, y, polar.get("@"), polar.get("^"), absolute=modal.absolute, source=source)
     # The end is known in absolute coordinates; with G91 the words are its difference from the present position.

@@ -29,6 +29,7 @@ from twin.identification import (
     CommonScale,
     DriftFactor,
     Estimate,
+    EstimatedShift,
     PatternTest,
     Scales,
     StepInRun,
@@ -341,7 +342,7 @@ def format_estimate(
         "certificate": certificate_document(estimate.certificate_check),
         "step_in_run": step_document(estimate.step),
         "shift_pattern": pattern_document(estimate.pattern),
-        "ball_shifts": [asdict(shift) for shift in estimate.shifts],
+        "ball_shifts": ball_shift_documents(estimate.shifts),
         "common_scale": common_scale_document(estimate.common_scale),
         "artefact_calibration": calibration_document(estimate.artefact_calibration),
         "volumetric": None if volumetric is None else volumetric.model_dump(),
@@ -395,6 +396,11 @@ def pattern_document(pattern: PatternTest | None) -> dict[str, Any] | None:
         return None
     suspects = [{"text": one.text, "size_um": one.size_um, "probability": one.probability} for one in pattern.suspects]
     return {"false_alarm": pattern.false_alarm, "suspects": suspects}
+
+
+def ball_shift_documents(shifts: Sequence[EstimatedShift]) -> list[dict[str, Any]]:
+    """Return the shifts of the balls that were estimated as JSON objects, one for each shift."""
+    return [asdict(shift) for shift in shifts]
 
 
 def common_scale_document(scale: CommonScale | None) -> dict[str, Any] | None:

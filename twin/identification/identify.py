@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NoReturn
 
 import numpy as np
@@ -85,6 +86,15 @@ class _RowSelection:
         """Place of each accepted row in the order of measuring."""
         return np.asarray(self.whole.layout.order[self.accepted])
 
+    @cached_property
+    def pattern(self) -> PatternTest | None:
+        """Result of the test for a pattern of shifts. It is None if the rows were not checked, or if the machine is so
+        far outside its family that they cannot be tested."""
+        solution, residuals = self.screened, self.residuals
+        if solution is None or residuals is None or _is_strange(solution):
+            return None
+        return shift_patterns(solution.equations.problem, residuals, self.measured)
+
 
 def identify(
     model: ErrorModel,
@@ -165,11 +175,8 @@ def _select_rows(whole: IdentificationProblem, family: Family, artefact: Artefac
 
 def _shift_to_estimate(selection: _RowSelection, options: Options) -> str:
     """Return the name of a shift that explains the measurements but is no unknown yet; empty if there is none."""
-    solution, residuals = selection.screened, selection.residuals
-    if solution is None or residuals is None or _is_strange(solution):
-        return ""
-    pattern = shift_patterns(solution.equations.problem, residuals, selection.measured)
-    if pattern.false_alarm >= options.false_alarm or pattern.unknown in _names(selection.whole):
+    pattern, known = selection.pattern, _names(selection.whole)
+    if pattern is None or pattern.false_alarm >= options.false_alarm or pattern.unknown in known:
         return ""
     return pattern.unknown
 
@@ -343,24 +350,22 @@ def _findings(selection: _RowSelection, solution: Solution, options: Options) ->
     against the family. An estimate that is carried over contains its own common scale, so there is none to test."""
     if options.outliers == "none":
         return _Findings(shifts=estimated_shifts(solution))
-    screening = _screening(options)
-    if selection.screened is not None:
-        solution = selection.screened
-    elif screening != options:
-        solution = solve(selection.problem, screening, screening.formulation)
+    if selection.screened is None or selection.residuals is None:
+        screening = _screening(options)
+        if screening != options:
+            solution = solve(selection.problem, screening, screening.formulation)
+        residuals = studentised_residuals(solution)
+        selection = replace(selection, screened=solution, residuals=residuals)
+    else:
+        solution, residuals = selection.screened, selection.residuals
     scale = common_scale(solution) if options.carried_over is None else None
     shifts = estimated_shifts(solution)
-    if _is_strange(solution):
+    if selection.pattern is None:
         return _Findings(common_scale=scale, shifts=shifts)
-    seen, measured = selection.whole.observations, selection.measured
-    residuals = selection.residuals or studentised_residuals(solution)
+    seen = selection.whole.observations
     tool_offset = seen.tool_offsets[np.bincount(seen.tool).argmax()]
-    return _Findings(
-        step_in_run(solution, residuals, measured, tool_offset),
-        shift_patterns(solution.equations.problem, residuals, measured),
-        scale,
-        shifts,
-    )
+    step = step_in_run(solution, residuals, selection.measured, tool_offset)
+    return _Findings(step, selection.pattern, scale, shifts)
 
 
 def _is_strange(solution: Solution) -> bool:

@@ -214,10 +214,7 @@ def build_problem(
     unknowns = unknowns_of(family, artefact, seen, options)
     warmer_k = seen.temperature_c - artefact.reference_temperature_c
     nuisance = Nuisance(unknowns.artefact, unknowns.artefact.strain_rows(warmer_k), warmer_k)
-    design = _design(unknowns, nuisance, seen, layout, poses)
-    if bending is not None and (doubt_mm := unknowns.artefact.sag.standard_uncertainty_mm):
-        # what hangs lower than stated is subtracted from the tool points
-        design[:, :, unknowns.blocks.sag] = -doubt_mm * bending[layout.source][:, :, None]
+    design = _design(unknowns, nuisance, seen, layout, poses, bending)
     return IdentificationProblem(
         unknowns=unknowns,
         known=None if options.carried_over is None else joint_prior_for(unknowns, options.carried_over),
@@ -303,7 +300,14 @@ def _lay_out(layout: RowLayout, rows: Array) -> Array:
     return laid.reshape(layout.positions, layout.width, *rows.shape[1:])
 
 
-def _design(unknowns: Unknowns, nuisance: Nuisance, seen: Observations, layout: RowLayout, poses: Poses) -> Array:
+def _design(
+    unknowns: Unknowns,
+    nuisance: Nuisance,
+    seen: Observations,
+    layout: RowLayout,
+    poses: Poses,
+    bending: Array | None,
+) -> Array:
     """Return the design (K·width, 3, P) of all slots for the P unknowns."""
     source, blocks = layout.source, unknowns.blocks
     at, tool = seen.axis_positions[source], seen.tool[source]
@@ -314,6 +318,10 @@ def _design(unknowns: Unknowns, nuisance: Nuisance, seen: Observations, layout: 
         _fill_field(design, rows, unknowns, at[rows], seen.tool_offsets[number], seen.thermal_regressors[source][rows])
     rotation = np.repeat(poses.rotation, layout.width, axis=0)
     _fill_artefact(design, blocks, nuisance, source, seen.ball[source], rotation)
+    if bending is not None:
+        # what hangs lower than stated is subtracted from the tool points; it does not turn with the artefact
+        sagging = unknowns.artefact.sag.standard_uncertainty_mm * bending[source]
+        design[:, :, blocks.sag] = -sagging[:, :, None]
     return design
 
 

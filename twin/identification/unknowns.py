@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,9 +47,10 @@ class UnknownBlocks:
         certificate: int,
         strain: int,
         misfit: Sequence[int] = (),
+        *,
+        sag: int = 0,
         drift: int = 0,
         shifts: int = 0,
-        sag: int = 0,
     ) -> UnknownBlocks:
         """Return consecutive blocks of the given sizes (numbers of unknowns). `misfit` contains the block size of each
         kind of misfit."""
@@ -183,23 +184,23 @@ class Unknowns:
         drift = 0 if self.drift is None else self.drift.size
         certificate, strains = self.artefact.certificate.shape[1], len(self.artefact.strain_names)
         sag = int(self.artefact.sag.standard_uncertainty_mm > 0.0)
-        return UnknownBlocks.of(self.model.size, certificate, strains, misfit, drift, len(self.shifts), sag)
+        return UnknownBlocks.of(
+            self.model.size, certificate, strains, misfit, sag=sag, drift=drift, shifts=len(self.shifts)
+        )
 
     def name(self, index: int) -> str:
         """Return a readable name of an unknown, such as `EXX[1]`, `certificate 3`, `strain cte` or `misfit 12`."""
-        blocks, artefact = self.blocks, self.artefact
-        if index in range(blocks.size)[blocks.parameters]:
-            return self.model.names[index]
-        if index in range(blocks.size)[blocks.strain]:
-            return f"strain {artefact.strain_names[index - blocks.strain.start]}"
-        if index in range(blocks.size)[blocks.shifts]:
-            shift: BallShift = self.shifts[index - blocks.shifts.start]
-            return shift.name
-        if index in range(blocks.size)[blocks.sag]:
-            return "sag"
-        numbered = {"certificate": blocks.certificate, "misfit": blocks.misfit, "drift": blocks.drift}
-        kind, block = next(item for item in numbered.items() if index < item[1].stop)
-        return f"{kind} {index - block.start}"
+        blocks = self.blocks
+        names = (
+            *self.model.names,
+            *_numbered("certificate", blocks.certificate),
+            *(f"strain {name}" for name in self.artefact.strain_names),
+            *("sag" for _ in range(blocks.size)[blocks.sag]),
+            *_numbered("misfit", blocks.misfit),
+            *_numbered("drift", blocks.drift),
+            *(shift.name for shift in self.shifts),
+        )
+        return names[index]
 
     def parameters(self, z: Array) -> Array:
         """Return the p model parameters (p,) in mm or rad from the vector z (P,) of all unknowns."""
@@ -228,3 +229,7 @@ class Unknowns:
         """Return the covariance (p, p) of the parameters in mm and rad. `unit` (p, p) is the covariance of the same
         parameters in units of `scale`."""
         return np.asarray(unit * np.multiply.outer(self.scale, self.scale))
+
+
+def _numbered(kind: str, block: slice) -> Iterable[str]:
+    return (f"{kind} {number}" for number in range(block.stop - block.start))
