@@ -52,7 +52,9 @@ def error_map(
         ("estimated / µm", aligned_error(estimate, points, offset)),
         ("remaining / µm", field_uncertainty(estimate, points, offset, aligned_over=grid)),
     )
-    figure = NotebookFigure(figsize=(WIDTH_IN, _height_in(model, len(heights))), layout="constrained")
+    figure = NotebookFigure(
+        figsize=(WIDTH_IN, _height_in(*model.ranges_mm[:2], rows=2, columns=len(heights))), layout="constrained"
+    )
     panels = figure.subplots(2, len(heights), sharex=True, sharey=True, squeeze=False)
     for (label, field), row in zip(rows, panels, strict=True):
         lengths_um = 1e3 * np.linalg.norm(field, axis=1).reshape(len(heights), *SHAPE)
@@ -78,7 +80,7 @@ def table_map(table: CompensationTable) -> NotebookFigure:
 
     chosen = sorted({0, len(table.z) // 2, len(table.z) - 1})
     lengths_um = 1e3 * np.linalg.norm(table.corrections, axis=3)
-    height_in = (WIDTH_IN - 1.5) / len(chosen) * float(np.ptp(table.y) / np.ptp(table.x)) + ROOM_IN
+    height_in = _height_in(table.x, table.y, rows=1, columns=len(chosen))
     figure = NotebookFigure(figsize=(WIDTH_IN, height_in), layout="constrained")
     (row,) = figure.subplots(1, len(chosen), sharex=True, sharey=True, squeeze=False)
     for axes, index in zip(row, chosen, strict=True):
@@ -91,7 +93,9 @@ def table_map(table: CompensationTable) -> NotebookFigure:
         axes.set_title(f"Z = {table.z[index]:g} mm", loc="left", fontsize=10)
         axes.set_xlabel("X / mm")
     row[0].set_ylabel("Y / mm")
-    figure.colorbar(mesh, ax=list(row), label="correction / µm", pad=0.01, aspect=12)
+    figure.colorbar(mesh, ax=list(row), label="correction / µm", pad=0.01, aspect=12, shrink=0.7)
+    if table.extrapolated[:, :, chosen].any():
+        figure.supxlabel("dots: nodes outside the measured region", fontsize=9)
     return figure
 
 
@@ -102,10 +106,10 @@ def _planes(model: ErrorModel, heights: Array) -> Array:
     return np.concatenate([np.stack(np.meshgrid(x, y, [z], indexing="ij"), axis=-1).reshape(-1, 3) for z in heights])
 
 
-def _height_in(model: ErrorModel, count: int) -> float:
-    """Return the height in inches of a figure with two rows of `count` panels, with equal scales of X and Y."""
-    spans = np.ptp(np.array(model.ranges_mm[:2]), axis=1)
-    return float(2.0 * (WIDTH_IN - 1.5) / count * spans[1] / spans[0]) + ROOM_IN
+def _height_in(x_mm: ArrayLike, y_mm: ArrayLike, *, rows: int, columns: int) -> float:
+    """Return the height in inches of a figure with `rows` times `columns` panels that cover the positions `x_mm` and
+    `y_mm`, with equal scales of X and Y."""
+    return float(rows * (WIDTH_IN - 1.5) / columns * np.ptp(np.asarray(y_mm)) / np.ptp(np.asarray(x_mm))) + ROOM_IN
 
 
 def _draw(axes: Axes, model: ErrorModel, lengths_um: Array, top_um: float) -> AxesImage:
