@@ -24,7 +24,8 @@ class Proof:
     is the prediction of `after_um`. `chi2_normalised` compares the residuals after activation with their prediction.
 
     `change` is the measured change of the residuals, and `gain` the decrease of their weighted square, each as a share
-    of the predicted one (see `twin.artefact.effect_test`). Both must reach `limit`.
+    of the predicted one (see `twin.artefact.effect_test`). Both must reach `limit`. `change_chi2_normalised` compares
+    the change of the residuals with that of a table that is applied as written (see `twin.artefact.change_test`).
     """
 
     accepted: bool
@@ -35,6 +36,7 @@ class Proof:
     change: float
     gain: float
     limit: float
+    change_chi2_normalised: float
     reason: str
 
 
@@ -227,6 +229,7 @@ class Outcome:
                 "change": self.proof.change,
                 "gain": self.proof.gain,
                 "limit": self.proof.limit,
+                "change_chi2_normalised": self.proof.change_chi2_normalised,
                 "reason": self.proof.reason,
             },
             "confirmed": None

@@ -9,11 +9,9 @@ active and of the new table, with c₁ = -ê. The mean square that is left with 
 |ê + c₀|² + tr C, with the new table tr C. The proof, its probability of acceptance and its probability of error are
 those of `twin.artefact.effect_test`, with the change c₀ - c₁ of the displayed positions.
 
-If held-out balls do not agree with a new table, the correction that the controller really applies is diagnosed. Let c
-be the corrections of the new table, which make up for the estimated deviations: e = -c. A controller that adds the
-correction a to the displayed positions d moves the tip to d + a + e = d + a - c. If a = c, the tip is where the
-controller displays it. The other corrections that controllers are known to apply by mistake are tried in turn: a = -c
-(wrong sign), a = 0 (no table), and that of the former table.
+A controller may store a table and apply something else: nothing, a part, another sign, other axes, or the nodes in
+another order. The change of the held-out balls shows this free of the errors of the machine and of the certificate
+(`agent.results.applied_table`). A table that is not applied as written is not proved, even if it reduces the errors.
 """
 
 from __future__ import annotations
@@ -29,6 +27,7 @@ from agent.files import translated
 from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
 from agent.probing.run_plan import MeasuredPositions
+from agent.results.applied_table import AppliedTable, applied_table
 from agent.results.estimation import EstimationResult
 from agent.results.observations import (
     Correction,
@@ -36,12 +35,12 @@ from agent.results.observations import (
     balls_for_estimate,
     certified_balls,
     displayed_residuals,
-    no_correction,
     observations_of,
 )
 from agent.results.run_outcome import Confirmation, Proof
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
+from twin.artefact.change_test import ChangeTest
 from twin.artefact.effect_test import EffectTest, MeasuredEffect
 from twin.artefact.held_out_check import HeldOutCovariance, HeldOutResiduals, held_out_residuals, projected_touches
 from twin.artefact.observations import Observations
@@ -53,13 +52,6 @@ from twin.machine.volumetric import evaluation_grid, volumetric_error
 from twin.units import UM_PER_MM
 
 _GRID, _COARSE_GRID = (24, 12, 12), (12, 8, 8)  # of the travel; the fields are smooth
-CLEARLY_BETTER = 0.5
-"""A mistake is reported if it leaves at most this fraction of the residuals: the other half would be a coincidence."""
-_MISTAKES = (
-    "the correction acts the wrong way: check the sign with which the controller adds the table",
-    "the table has no effect: the controller stores it, but does not apply it",
-    "the former table still acts: the controller has not activated the new one",
-)
 
 
 @dataclass(frozen=True)
@@ -179,6 +171,21 @@ def _effect_test(
     )
 
 
+def _applied_table(
+    job: Job, estimation: EstimationResult, former: FormerBalls, residuals: HeldOutCovariance, change_mm: Array
+) -> AppliedTable:
+    """Return which correction the controller applies, from the change (n, 3) in mm of the residuals of the held-out
+    balls."""
+
+    def projected(correction: Correction) -> Array:
+        return residuals.projected(_correction_at(former.balls, correction))
+
+    touches_before = projected_touches(residuals.basis, former.observed.covariance)
+    change = residuals.projected(change_mm) - projected(former.correction)
+    test = ChangeTest.of(change, residuals, touches_before, estimation.estimate.scales.noise)
+    return applied_table(test, estimation.table, former.correction, projected, job.settings.verification.max_chi2)
+
+
 def confirm(
     job: Job, estimation: EstimationResult, gain: ExpectedGain, power: float | None, former: FormerBalls
 ) -> Confirmation:
@@ -226,16 +233,17 @@ def prove(job: Job, estimation: EstimationResult, former: FormerBalls, after: Se
         residuals = _residual_covariance(reference, estimation, seen, result, offset)
         undrifted = former.residuals(offset, reference.artefact)
     effect = _effect_test(job, estimation, former, residuals).measured(undrifted.residuals_mm, result.residuals_mm)
+    applied = _applied_table(job, estimation, former, residuals, result.residuals_mm - undrifted.residuals_mm)
     change_um = f"{UM_PER_MM * before.rms_mm:.2f} to {UM_PER_MM * result.rms_mm:.2f} µm"
     if former.drift_mm.any():
         change_um += f" (before the table, {UM_PER_MM * undrifted.rms_mm:.2f} µm in the state to which it drifted)"
-    reason = _shortfall(effect, change_um)
-    if reason:
-        mistake = mistaken_correction(after, estimation.table.at, former.correction, offset, reference.artefact)
-        reason = f"{mistake}; {reason}" if mistake else reason
-    reason = reason or _disagreement(effect.consistency.chi2_normalised, effect.max_chi2)
+    reasons = (
+        applied.reason,
+        _shortfall(effect, change_um),
+        _disagreement(effect.consistency.chi2_normalised, effect.max_chi2),
+    )
     return Proof(
-        accepted=effect.accepted,
+        accepted=not any(reasons),
         before_um=UM_PER_MM * before.rms_mm,
         after_um=UM_PER_MM * result.rms_mm,
         predicted_um=UM_PER_MM * effect.consistency.predicted_mm,
@@ -243,7 +251,8 @@ def prove(job: Job, estimation: EstimationResult, former: FormerBalls, after: Se
         change=effect.change,
         gain=effect.gain,
         limit=effect.limit,
-        reason=reason or "effect shown, and as predicted",
+        change_chi2_normalised=applied.chi2_normalised,
+        reason="; ".join(filter(None, reasons)) or "effect shown, and as predicted",
     )
 
 
@@ -314,23 +323,3 @@ def _disagreement(chi2: float, limit: float) -> str:
         if chi2 <= limit
         else f"held-out positions are not as predicted: normalised χ² {chi2:.2f}, allowed {limit:.2f}"
     )
-
-
-def mistaken_correction(
-    balls: Sequence[MeasuredBall], new: Correction, former: Correction, tool_offset_mm: Array, artefact: Artefact
-) -> str:
-    """Return a description of the controller's mistake that explains the residuals of the held-out `balls`, which were
-    measured with the new table active; an empty text if no mistake explains them. `new` and `former` are the
-    corrections of the new and of the former table.
-    """
-    displayed = np.array([ball.found.centre_mm for ball in balls])
-    observed = observations_of(balls, tool_offset_mm, no_correction)
-    wanted = new(displayed)
-    as_wanted_mm, *others_mm = (
-        held_out_residuals(observed, displayed + tool_offset_mm + applied - wanted, artefact).rms_mm
-        for applied in (wanted, -wanted, np.zeros_like(wanted), former(displayed))
-    )
-    best = int(np.argmin(others_mm))
-    if others_mm[best] > CLEARLY_BETTER * as_wanted_mm:
-        return ""
-    return f"{_MISTAKES[best]} (the balls then agree to {UM_PER_MM * others_mm[best]:.2f} µm)"

@@ -242,6 +242,8 @@ class WrongSign:
 class WithoutEffect:
     """A controller that stores and activates a table, reads back what was written, and corrects nothing."""
 
+    part = staticmethod(np.zeros_like)
+
     def __init__(self, store) -> None:
         self._store = store
         self._held: dict[int, TableImage] = {}
@@ -251,10 +253,16 @@ class WithoutEffect:
 
     def stage(self, bank: int, table: TableImage) -> None:
         self._held[bank] = table
-        self._store.stage(bank, dataclasses.replace(table, counts=0 * table.counts))
+        self._store.stage(bank, dataclasses.replace(table, counts=self.part(table.counts)))
 
     def read_table(self, bank: int) -> TableImage | None:
         return self._held.get(bank, self._store.read_table(bank))
+
+
+class HalfOfIt(WithoutEffect):
+    """A controller that reads a table back as written, and adds half of it."""
+
+    part = staticmethod(lambda counts: counts // 2)
 
 
 @pytest.mark.parametrize(
@@ -262,6 +270,7 @@ class WithoutEffect:
     [
         (WrongSign, "the correction acts the wrong way: check the sign"),
         (WithoutEffect, "the table has no effect: the controller stores it"),
+        (HalfOfIt, "half of each correction acts: check the unit"),
     ],
 )
 def test_a_table_that_is_applied_by_mistake_is_withdrawn_and_the_mistake_named(
@@ -276,8 +285,9 @@ def test_a_table_that_is_applied_by_mistake_is_withdrawn_and_the_mistake_named(
     proof = ended.outcome.proof
     assert proof is not None
     assert not proof.accepted
-    assert proof.after_um > 0.9 * proof.before_um
+    assert proof.after_um > 0.4 * proof.before_um
     assert proof.reason.startswith(mistake)
+    assert "odds against the table as written: more than 1,000,000 to 1" in proof.reason
     assert night.active == 0
     assert ended.outcome.table_bank == 0
     run = stored_run(state)

@@ -1,0 +1,82 @@
+"""Diagnosis of the correction that the controller applies, from the change of held-out balls made by the new table."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.results.observations import Correction, no_correction
+from twin.arrays import Array
+from twin.artefact.change_test import DECISIVE_ODDS, ChangeTest, odds_text
+from twin.compensation.misread_tables import misread_tables
+from twin.compensation.table import CompensationTable
+
+_NAMED_BEFORE_SHARE = 100.0
+"""Odds of a named mistake against an arbitrary share of the correction, before anything is measured."""
+
+
+@dataclass(frozen=True)
+class AppliedTable:
+    """Comparison of the change that a new table made with the change that it should make.
+
+    `chi2_normalised` is χ² of the change per degree of freedom, and `limit` the largest value of a table that is
+    applied as written. `mistake` is the mistake of the controller that explains the change better, with its odds; it is
+    empty if the odds are not decisive.
+    """
+
+    chi2_normalised: float
+    limit: float
+    mistake: str = ""
+
+    @property
+    def reason(self) -> str:
+        """Reason why the controller does not apply the new table as written; empty if it does."""
+        if self.mistake:
+            return self.mistake
+        if self.chi2_normalised > self.limit:
+            return (
+                "the held-out positions did not change as the table should change them: normalised χ² of the change "
+                f"{self.chi2_normalised:.2f}, allowed {self.limit:.2f}"
+            )
+        return ""
+
+
+def applied_table(
+    test: ChangeTest,
+    table: CompensationTable,
+    former: Correction,
+    projected: Callable[[Correction], Array],
+    max_chi2: float,
+) -> AppliedTable:
+    """Return which correction the controller applies, after it was to replace the correction `former` by `table`.
+
+    `projected` gives the corrections at the held-out balls, projected on the directions of the test (f,) in mm.
+    `max_chi2` is the stated limit of a normalised χ².
+    """
+    written = projected(table.at)
+    chi2, limit = test.chi2_normalised(written), test.limit(max_chi2)
+    mistakes = [(mistake, projected(correction)) for mistake, correction in _mistakes(table, former)]
+    share = test.share(written)
+    mistakes.append((f"{100.0 * share:.0f} % of the correction acts: check the scale of the table", share * written))
+    odds = test.log_odds([correction for _, correction in mistakes], written)
+    odds[-1] -= math.log(_NAMED_BEFORE_SHARE)
+    best = int(np.argmax(odds))
+    log_odds, mistake = float(odds[best]), mistakes[best][0]
+    if log_odds < math.log(DECISIVE_ODDS):
+        return AppliedTable(chi2, limit)
+    return AppliedTable(chi2, limit, f"{mistake} (odds against the table as written: {odds_text(log_odds)})")
+
+
+def _mistakes(table: CompensationTable, former: Correction) -> Iterator[tuple[str, Correction]]:
+    for misread in misread_tables(table):
+        yield misread.mistake, misread.table.at
+    if former is no_correction:
+        return
+    yield "the former table still acts: the controller has not activated the new one", former
+    yield (
+        "the former and the new table act together: the controller has not deactivated the former one",
+        lambda points: former(points) + table.at(points),
+    )
