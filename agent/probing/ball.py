@@ -21,12 +21,14 @@ from twin.artefact.sphere_fit import SphereFit, fit_sphere
 from twin.errors import TwinError
 from twin.units import UM_PER_MM
 
-__all__ = ["NOT_FOUND_HINT", "FittedBall", "LostBall", "measure_ball", "point"]
+__all__ = ["NOT_FOUND_HINT", "FittedBall", "LostBall", "SmallSphere", "measure_ball", "point"]
 NOT_FOUND_HINT = (
     "deflect the stylus by hand: `volcal doctor` must show it. Then check the station's location in the settings, the "
     "mount's zero and the artefact's seat"
 )
 """What to do if a ball whose place is not known yet was not found."""
+RADIUS = "radius"
+"""Name of the gate of the radius."""
 TIE_RATIO = 0.95
 """Fraction of the largest standardised residual above which a touch cannot be distinguished from the worst touch.
 
@@ -54,12 +56,22 @@ class FittedBall:
     residuals_mm: Vector
 
 
+@dataclass(frozen=True, eq=False)
+class SmallSphere:
+    """Sphere through the touches of a ball whose radius is too small by `deficit_mm`, with its centre (3,)."""
+
+    centre_mm: Vector
+    deficit_mm: float
+
+
 @dataclass(frozen=True)
 class LostBall:
-    """Ball that could not be measured, with the reason in words and the number of touches made."""
+    """Ball that could not be measured, with the reason in words and the number of touches made. If it was given up
+    because its radius is too small, `small` is the sphere that was found."""
 
     reason: str
     touches: int
+    small: SmallSphere | None = None
 
 
 def measure_ball(
@@ -92,7 +104,7 @@ def measure_ball(
             hint="clean the ball and the stylus, check that both are tight and where the artefact stands",
             step=key,
         )
-    return LostBall(ball.reason, ball.touches)
+    return LostBall(ball.reason, ball.touches, ball.small)
 
 
 class _Ball:
@@ -108,6 +120,7 @@ class _Ball:
         self._search = search
         self.touches = 0
         self.reason = ""
+        self.small: SmallSphere | None = None
         self.given_up = False
 
     def locate(self) -> Plan[None]:
@@ -153,6 +166,9 @@ class _Ball:
     ) -> Plan[FittedBall | None]:
         distance_mm = self._distance_mm(fit)
         self._centre, self._search = fit.centre, self._probing.narrow_search
+        deficit_mm = self._probing.expected_radius_mm - fit.radius
+        is_small = gate is not None and gate.gate == RADIUS and deficit_mm > 0.0
+        self.small = SmallSphere(fit.centre, deficit_mm) if is_small else None
         if gate is not None:
             self.reason = gate.text
             yield Record(f"{key}/gate", "event", gate.payload(self._key, self._next(last)))
@@ -196,7 +212,7 @@ class _Ball:
         return touched.latched_mm
 
     def _note_miss(self, key: str, index: int, last: bool) -> Plan[None]:
-        self.reason = f"touch {index} met nothing"
+        self.reason, self.small = f"touch {index} met nothing", None
         self.given_up = self._search.beyond_mm >= self._probing.wide_search.beyond_mm
         self._search = self._probing.wide_search
         then = self._next(last) if self.given_up or last else "search wider"
@@ -269,7 +285,7 @@ def first_failed_gate(fit: SphereFit, probing: ProbingParameters) -> FailedGate 
     worst = int(np.abs(fit.residuals).argmax())
     pole = pole_error_mm(fit, probing)
     checks = (
-        ("radius", deviation, limits.radius_limit_mm, "radius is off by"),
+        (RADIUS, deviation, limits.radius_limit_mm, "radius is off by"),
         ("form", fit.form, limits.form_limit_mm, "form is"),
         ("touch", fit.residuals[worst], limits.touch_limit_mm, f"touch {worst} is off the sphere by"),
         ("pole", 0.0 if pole is None else pole, limits.pole_limit_mm, "the pole is off the sphere through the rest by"),

@@ -11,10 +11,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.errors import MeasurementFault, PlacementLost
+from agent.errors import PlacementLost
 from agent.execution.steps import Plan, Record
-from agent.probing.ball import NOT_FOUND_HINT, FittedBall, LostBall, measure_ball
+from agent.probing.ball import FittedBall, LostBall, measure_ball
 from agent.probing.hand_placement import HandPlacement
+from agent.probing.lost_ball import lost_ball_fault
 from agent.probing.paths.path_planner import PathPlanner, PlainPathPlanner
 from agent.probing.paths.retreat import Retreat
 from agent.probing.probing_parameters import ProbingParameters, Search
@@ -193,11 +194,8 @@ class _Measuring:
                 step=f"{self._task.key}/ball-{ball:02d}",
             )
         if isinstance(result, LostBall):
-            raise MeasurementFault(
-                f"end ball {ball} was not found where it was expected: {result.reason}",
-                hint=NOT_FOUND_HINT,
-                step=f"{self._task.key}/ball-{ball:02d}",
-            )
+            key = f"{self._task.key}/ball-{ball:02d}"
+            raise (yield from lost_ball_fault(key, f"end ball {ball}", result, self._probing))
         return result
 
     def ball(self, ball: int, predicted: Array, search: Search | None = None) -> Plan[FittedBall | LostBall]:

@@ -10,9 +10,10 @@ import numpy as np
 
 from agent.errors import MeasurementFault, PlacementLost
 from agent.execution.steps import CheckPermissions, CheckProbe, MoveTo, OrientTo, Plan, ReadPosition, Record
-from agent.probing.ball import NOT_FOUND_HINT, FittedBall, LostBall, measure_ball, point
+from agent.probing.ball import FittedBall, LostBall, measure_ball, point
 from agent.probing.hand_placement import HandPlacement, PlacementFault, PlacementRefusal, PlacementTask, place_artefact
 from agent.probing.latch_delay import LatchDelay, measure_latch_delay
+from agent.probing.lost_ball import lost_ball_fault
 from agent.probing.paths.shortest_path import create_path_planner
 from agent.probing.position import PositionRules
 from agent.probing.probe_check import ProbeCheck, Repeatability, check_repeatability
@@ -198,11 +199,7 @@ def _locate_ball(key: str, predicted: Array, rules: PositionRules) -> Plan[Fitte
     """Measure the ball with the locating search and the run's touch pattern. Raises MeasurementFault if it is lost."""
     result = yield from measure_ball(key, predicted, rules.probing, rules.probing.locating_search)
     if isinstance(result, LostBall):
-        raise MeasurementFault(
-            f"the ball for the probe check was not found where it was expected: {result.reason}",
-            hint=NOT_FOUND_HINT,
-            step=key,
-        )
+        raise (yield from lost_ball_fault(key, "the ball for the probe check", result, rules.probing))
     yield Record(f"{key}/found", "event", {"centre_mm": result.centre_mm, "form_um": result.form_mm * 1e3})
     return result
 

@@ -73,6 +73,14 @@ def test_the_real_command_measures_one_ball_and_finds_a_late_latch(tmp_path: Pat
         assert words in told.stdout, told.stdout
 
 
+def test_a_latch_a_cycle_of_the_controller_late_is_named_and_not_a_lost_ball(state: Path) -> None:
+    done = tried(state, Night(), scenario={"trigger": {"latch_delay_ms": 60.0}})
+    assert done.outcome.state is RunState.FAULTED
+    assert "appears too small" in str(done.error)
+    assert "latches the axis positions" in str(done.error)
+    assert "in the PLC program" in str(done.error)
+
+
 def test_a_trial_writes_nothing_and_is_not_left_unfinished(state: Path) -> None:
     night = Night()
     done = tried(state, night)

@@ -242,7 +242,7 @@ class WrongSign:
 class WithoutEffect:
     """A controller that stores and activates a table, reads back what was written, and corrects nothing."""
 
-    part = staticmethod(np.zeros_like)
+    part: Callable[[np.ndarray], np.ndarray] = staticmethod(np.zeros_like)
 
     def __init__(self, store) -> None:
         self._store = store

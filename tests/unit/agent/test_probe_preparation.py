@@ -11,10 +11,13 @@ import numpy as np
 import pytest
 from touched_ball import TouchedBall, ended
 
+from agent.errors import MeasurementFault
 from agent.execution import steps as s
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
+from agent.probing.ball import LostBall, measure_ball
 from agent.probing.latch_delay import measure_latch_delay
+from agent.probing.lost_ball import lost_ball_fault
 from agent.probing.preparation import PreparationResult, prepare_probe
 from agent.probing.probe_check import ProbeCheck, check_repeatability
 from agent.probing.qualification import qualify_stylus
@@ -193,6 +196,38 @@ def test_a_warning_is_given_only_for_a_lag_that_is_surely_beyond_its_limit(delay
     assert bool(found.warnings) == warned
     if delay_ms < 0.0:
         assert "no delay of the latch" in found.warnings[0]
+
+
+def lost_datum(player: TouchedBall) -> MeasurementFault:
+    """Measure the ball of `player`, which is expected to fail, and return the fault that the run states."""
+
+    def plan() -> s.Plan[MeasurementFault]:
+        found = yield from measure_ball("b", CENTRE, PROBING, PROBING.locating_search)
+        assert isinstance(found, LostBall)
+        return (yield from lost_ball_fault("b", "the ball for the probe check", found, PROBING))
+
+    fault = player.run(plan())
+    assert isinstance(fault, MeasurementFault)
+    return fault
+
+
+def test_a_latch_that_is_a_cycle_late_is_named_where_the_ball_appears_too_small() -> None:
+    """40 ms at 300 mm/min: 200 µm deeper than the trip."""
+    fault = lost_datum(delayed(40e-3))
+    assert "appears too small: radius is off by -2" in fault.message
+    assert "latches the axis positions 40.0 ms after the trip, and the axes travel 200 µm meanwhile" in fault.message
+    assert "fast input" in fault.hint
+
+
+def test_a_wrong_diameter_is_not_blamed_on_the_latch() -> None:
+    fault = lost_datum(TouchedBall(CENTRE, PROBING.contact_mm - 0.2, lambda *_: 0.0))
+    assert "equally so at a lower feed" in fault.message
+    assert fault.hint.startswith("check the ball diameter")
+
+
+def test_a_ball_that_is_not_there_is_not_touched_again() -> None:
+    fault = lost_datum(TouchedBall(CENTRE, PROBING.contact_mm, lambda *_: None))
+    assert fault.message.startswith("the ball for the probe check was not found where it was expected: touch 0 met")
 
 
 def test_a_touch_at_the_lower_feed_that_meets_nothing_stops_the_check() -> None:
