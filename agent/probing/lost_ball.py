@@ -41,8 +41,8 @@ def lost_ball_fault(key: str, ball: str, lost: LostBall, probing: ProbingParamet
         )
     return MeasurementFault(
         f"{text}, and equally so at a lower feed",
-        hint="check the ball diameter in the artefact file and the tip diameter in the settings, then the trigger force "
-        "of the probe",
+        hint="check the ball diameter in the artefact file and the tip diameter in the settings, then the trigger "
+        "force of the probe",
         step=key,
     )
 

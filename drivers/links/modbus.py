@@ -30,6 +30,12 @@ _EXCEPTIONS = {
     11: ("gateway target does not answer", "check the unit id, and the line behind the gateway"),
 }
 
+_ALTERED = "a byte was altered on the way, or the server does not follow Modbus; check cable, connectors and gateway"
+_DECIDED_BY_ADDRESS = (ILLEGAL_FUNCTION, 2, 3)
+"""Codes of exceptions that follow from function, address and count of a request alone."""
+_KIND_BYTES = {READ: 5, WRITE: 5, WRITE_AND_READ: 9}
+"""Number of leading bytes of a request that hold its function, addresses and counts."""
+
 
 class _ExceptionResponse(Exception):
     def __init__(self, code: int) -> None:
@@ -64,7 +70,9 @@ class ModbusLink:
 
     `writable` lists the registers that may be written. A write to any other register is refused before anything is
     sent. A request that the caller declares idempotent is repeated after a timeout or a damaged answer, up to `retries`
-    times. After that, and after a lost connection, such a request is left to `reconnection`, which opens the connection
+    times. On a transport without a checksum, an answer that does not fit the request counts as damaged, and so does the
+    refusal of a request whose kind the unit has carried out before: a byte may have been altered on the way. After the
+    last repetition, and after a lost connection, such a request is left to `reconnection`, which opens the connection
     again; without it, a lost connection stays closed until `open` is called.
 
     The methods raise `LinkLost`, `LinkTimeout` or `ProtocolError` (including `DamagedFrame`). Each error names the
@@ -92,6 +100,8 @@ class ModbusLink:
         self.reconnection = reconnection
         self._in_use = False
         self._loss: LinkLost | None = None
+        self._carried_out: set[bytes] = set()
+        """Function, addresses and counts of the requests that the unit has carried out."""
 
     @property
     def connected(self) -> bool:
@@ -112,14 +122,13 @@ class ModbusLink:
     def read(self, register: int, count: int) -> bytes:
         """Read `count` registers with function 3, and return their 2 × `count` bytes."""
         request = struct.pack(">BHH", READ, register, count)
-        return self._registers(self._checked(request, register, idempotent=True), count, register)
+        return self._checked(request, register, idempotent=True)[1:]
 
     def write(self, register: int, data: bytes, *, idempotent: bool) -> None:
         """Write `data` with function 16 to consecutive registers; the first one is `register`."""
         head = struct.pack(">HH", register, self._writable_count(register, data))
         request = bytes((WRITE,)) + head + bytes((len(data),)) + data
-        if self._checked(request, register, idempotent=idempotent) != head:
-            raise ProtocolError("the answer to a write names other registers", register=register, **self.where)
+        self._checked(request, register, idempotent=idempotent)
 
     def exchange(self, register: int, data: bytes, read: int, count: int, *, idempotent: bool) -> bytes:
         """Write `data` starting at `register`, then read `count` registers starting at `read` and return their bytes.
@@ -137,7 +146,7 @@ class ModbusLink:
                 if refusal.code != ILLEGAL_FUNCTION:
                     raise self._exception_error(refusal.code, register) from None
             else:
-                return self._registers(answer, count, read)
+                return answer[1:]
             self._combined = False
         self.write(register, data, idempotent=idempotent)
         return self.read(read, count)
@@ -164,15 +173,6 @@ class ModbusLink:
                 **self.where,
             )
         return count
-
-    def _registers(self, answer: bytes, count: int, register: int) -> bytes:
-        if len(answer) != 2 * count + 1 or answer[0] != 2 * count:
-            raise ProtocolError(
-                f"requested {count} registers, but the answer holds {max(len(answer) - 1, 0)} bytes",
-                register=register,
-                **self.where,
-            )
-        return answer[1:]
 
     def _checked(self, request: bytes, register: int, *, idempotent: bool) -> bytes:
         try:
@@ -221,19 +221,43 @@ class ModbusLink:
                 self._loss = error
             raise
         self.latency.add(wall_seconds() - started_s)
-        function = request[0]
+        kind = request[: _KIND_BYTES[request[0]]]
         # An exception response is the function code with the highest bit set, and a code.
-        if answer[0] == function | EXCEPTION_BIT and len(answer) == 2:
+        if answer[0] == request[0] | EXCEPTION_BIT and len(answer) == 2:
             if answer[1] == BUSY:
                 raise LinkTimeout("the controller is busy", register=register, **self.where)
+            if answer[1] not in _EXCEPTIONS and not self.transport.has_checksum:
+                raise self._misfit(f"unknown Modbus exception {answer[1]}", register)
+            if answer[1] in _DECIDED_BY_ADDRESS and kind in self._carried_out and not self.transport.has_checksum:
+                name = _EXCEPTIONS[answer[1]][0]
+                raise self._misfit(
+                    f"a request that was carried out before is refused: Modbus exception {answer[1]}, {name}", register
+                )
             raise _ExceptionResponse(answer[1])
-        if answer[0] != function:
-            raise ProtocolError(
-                f"a request with function {function} was answered with function {answer[0]}",
-                register=register,
-                **self.where,
-            )
+        if answer[0] != request[0]:
+            raise self._misfit(f"a request with function {request[0]} was answered with function {answer[0]}", register)
+        self._require_fit(request, answer, register)
+        self._carried_out.add(kind)
         return answer[1:]
+
+    def _require_fit(self, request: bytes, answer: bytes, register: int) -> None:
+        """Raise DamagedFrame if the answer does not have the form that its request asks for."""
+        if request[0] == WRITE:
+            if answer != request[:5]:
+                raise self._misfit("the answer to a write names other registers", register)
+            return
+        count = int.from_bytes(request[3:5], "big")
+        if len(answer) != 2 * count + 2 or answer[1] != 2 * count:
+            raise self._misfit(
+                f"requested {count} registers, but the answer holds {max(len(answer) - 2, 0)} bytes", register
+            )
+
+    def _misfit(self, text: str, register: int) -> ProtocolError:
+        """Return the error of an answer that does not fit its request. Without a checksum, it may have been altered on
+        the way."""
+        if self.transport.has_checksum:
+            return ProtocolError(text, register=register, **self.where)
+        return DamagedFrame(text, hint=_ALTERED, register=register, **self.where)
 
     def _exception_error(self, code: int, register: int) -> ProtocolError:
         name, hint = _EXCEPTIONS.get(code, ("unknown", "check the controller"))

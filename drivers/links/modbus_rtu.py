@@ -73,6 +73,10 @@ class RtuTransport:
     def connected(self) -> bool:
         return self._serial is not None
 
+    @property
+    def has_checksum(self) -> bool:
+        return True
+
     def open(self) -> None:
         line = self._line
         try:

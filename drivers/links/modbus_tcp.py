@@ -17,8 +17,8 @@ from pymodbus.client import ModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusException, ModbusIOException
 from pymodbus.pdu import ExceptionResponse, ModbusPDU
 
-from drivers.errors import LinkError, LinkLost, LinkTimeout, ProtocolError
-from drivers.links.modbus_transport import EXCEPTION_BIT
+from drivers.errors import LinkError, LinkLost, LinkTimeout
+from drivers.links.modbus_transport import EXCEPTION_BIT, DamagedFrame
 
 # Each pymodbus log record is also raised as a typed error here; without this handler, logging's handler of last
 # resort would print the record to stderr as well.
@@ -52,6 +52,10 @@ class TcpTransport:
     @property
     def connected(self) -> bool:
         return self._client.connected
+
+    @property
+    def has_checksum(self) -> bool:
+        return False
 
     def open(self) -> None:
         if not self._client.connect():
@@ -91,7 +95,7 @@ class TcpTransport:
                 hint="check unit id, cable and the load of the controller",
                 **self._where,
             )
-        return ProtocolError(f"the answer cannot be decoded: {error}", **self._where)
+        return DamagedFrame(f"the answer cannot be decoded: {error}", **self._where)
 
 
 class _Request(ModbusPDU):

@@ -27,6 +27,11 @@ class Transport(Protocol):
     @property
     def connected(self) -> bool: ...
 
+    @property
+    def has_checksum(self) -> bool:
+        """True if each frame has a checksum, so that a frame which arrives is the one that was sent."""
+        ...
+
     def open(self) -> None:
         """Open the connection. Raises `LinkLost` if this fails."""
         ...

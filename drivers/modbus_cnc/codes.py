@@ -87,12 +87,13 @@ PERMISSION_FAULTS = (7, 8)
 
 ACCEPTED = 1
 PERMISSION_MISSING = 4
+OUTSIDE_TRAVEL = 5
 CRC_DIFFERS = 24
 RESULTS = {
     2: "unknown command",
     3: "not in this state",
     PERMISSION_MISSING: "a permission is missing",
-    5: "target outside the travel",
+    OUTSIDE_TRAVEL: "target outside the travel",
     6: "feed not positive or too high",
     7: "illegal value",
     8: "probe not loaded or not healthy",

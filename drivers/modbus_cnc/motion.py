@@ -19,6 +19,7 @@ from drivers.errors import (
 from drivers.links.reconnection import LINK_FAILURES
 from drivers.modbus_cnc.codes import (
     FAULT_GUARD_TRIPPED,
+    OUTSIDE_TRAVEL,
     PERMISSION_FAULTS,
     CommandCode,
     MotionOutcome,
@@ -80,6 +81,12 @@ class ModbusMotion:
         except BaseException as error:
             self._stop_because_of(error)
             raise
+        if status.motion_sequence == 0:
+            raise MotionFault(
+                f"the controller has forgotten motion {sequence}, which it had begun: it was restarted",
+                hint="reference the axes, then continue with `volcal resume`",
+                **session.where,
+            )
         if status.motion_sequence != sequence:
             raise self._protocol_error(f"started motion {sequence}, but motion {status.motion_sequence} ended")
         self._require_success(code, status)
@@ -93,7 +100,16 @@ class ModbusMotion:
         LinkLost, and the caller stops it.
         """
         session = self._session
-        sequence, accepted = session.start(CommandBlock(code, crc=self.tag, target=target, feed=feed_mm_per_s or 0.0))
+        command = CommandBlock(code, crc=self.tag, target=target, feed=feed_mm_per_s or 0.0)
+        try:
+            sequence, accepted = session.start(command)
+        except CommandRejected as refusal:
+            if refusal.where.get("result") == str(OUTSIDE_TRAVEL) and self._is_within_travel(target):
+                refusal.hint = (
+                    "the target lies within the travel that the controller states: compare its software limits, and "
+                    "the word order in which it reads the target"
+                )
+            raise
         if session.interrupted_since_command and _is_under_way(accepted):
             raise LinkLost(
                 f"the link was interrupted while {code.label} was sent, and the axes have begun to move",
@@ -101,6 +117,10 @@ class ModbusMotion:
                 **session.where,
             )
         return sequence, accepted
+
+    def _is_within_travel(self, target: Triple) -> bool:
+        limits = zip(self._limits.lower_mm, target, self._limits.upper_mm, strict=True)
+        return all(low <= value <= high for low, value, high in limits)
 
     def stop(self) -> None:
         """Send the command STOP and return before the axes are at rest.

@@ -5,12 +5,13 @@ Each field stands for one name in the tables of this document.
 
 from __future__ import annotations
 
-import math
+import dataclasses
+import itertools
 from collections.abc import Mapping
 from typing import NamedTuple
 
 from drivers.errors import ProtocolError
-from drivers.modbus_cnc.codec import NumberFormat, RegisterField, RegisterLayout
+from drivers.modbus_cnc.codec import NumberFormat, RegisterField, RegisterLayout, WordOrder
 from drivers.modbus_cnc.codes import MAJOR_VERSION, PERMISSION_BITS, PROTOCOL, STATES, BankState, MotionOutcome
 from drivers.roles import MotionState, Permission
 
@@ -123,6 +124,7 @@ class BlockLayouts:
     """Layouts of all register blocks of the Modbus register map for one number format."""
 
     def __init__(self, numbers: NumberFormat) -> None:
+        self.numbers = numbers
         self.status = RegisterLayout(_STATUS, numbers)
         self.limits = RegisterLayout(_LIMITS, numbers)
         self.command = RegisterLayout(_COMMAND, numbers)
@@ -149,13 +151,41 @@ class BlockLayouts:
             return status
         wrong = _first_illegal(status)
         if wrong:
+            value = getattr(status, wrong)
             raise ProtocolError(
-                f"the controller shows an illegal {wrong.replace('_', ' ')}: {getattr(status, wrong)}",
+                f"the controller shows an illegal {wrong.replace('_', ' ')}: {value}{self._other_order(value)}",
                 hint="compare number type, word order and addresses in the configuration with the controller",
                 register=first_register + self.status.offset(wrong),
                 **where,
             )
         return status
+
+    def _other_order(self, value: object) -> str:
+        """Return a text that names the order of words and bytes in which a position would be plausible; empty if there
+        is none, or if the value is no position."""
+        if not isinstance(value, tuple) or self.numbers.kind != "float64" or not isinstance(value[0], float):
+            return ""
+        orders: tuple[WordOrder, ...] = ("high-first", "low-first")
+        for words, in_word in itertools.product(orders, orders):
+            numbers = dataclasses.replace(self.numbers, word_order=words, byte_order=in_word)
+            field = [RegisterField("position", "number", 3)]
+            (read,) = RegisterLayout(field, numbers).unpack(RegisterLayout(field, self.numbers).pack([value]))
+            if all(map(_is_plausible, read)) and any(read):
+                shown = ", ".join(f"{one:.3f}" for one in read)
+                return (
+                    f"; it would be {shown} mm with word_order {words!r} and byte_order {in_word!r}: the controller "
+                    "orders the registers of this value in another way than configured"
+                )
+        return ""
+
+
+LARGEST_POSITION_MM, SMALLEST_POSITION_MM = 1e6, 1e-30
+"""Bounds of the absolute value of a position other than zero. A float64 with its words or bytes in a wrong order is
+larger than 1e50 or smaller than 1e-50 in most cases."""
+
+
+def _is_plausible(value_mm: float) -> bool:
+    return value_mm == 0.0 or SMALLEST_POSITION_MM <= abs(value_mm) <= LARGEST_POSITION_MM
 
 
 def _first_illegal(status: StatusImage) -> str:
@@ -163,9 +193,9 @@ def _first_illegal(status: StatusImage) -> str:
         return "state_code"
     if status.motion_outcome > _LAST_OUTCOME:
         return "motion_outcome"
-    if not all(map(math.isfinite, status.position)):
+    if not all(map(_is_plausible, status.position)):
         return "position"
-    if not all(map(math.isfinite, status.latched)):
+    if not all(map(_is_plausible, status.latched)):
         return "latched"
     # The codes count from 0 without gaps.
     if max(status.bank_states) > BankState.DAMAGED:

@@ -116,7 +116,7 @@ class ModbusSession:
     def write_and_read_status(self, register: int, data: bytes, *, idempotent: bool) -> StatusImage:
         blocks = self.settings.blocks
         answer = self.link.exchange(register, data, blocks.status, self.layouts.status.size, idempotent=idempotent)
-        return self._check_status(self._consistent_status(self._decoded(answer)))
+        return self._check_status(self._consistent_status(answer))
 
     def command(self, command: CommandBlock, *, within_s: float | None = None) -> StatusImage:
         """Send a command, wait for its acknowledgement, and return the status image that contains it.
@@ -233,22 +233,52 @@ class ModbusSession:
             # a STOP may overtake a command, so a few earlier results are still asked for; older ones never are
             while len(self._results) > 4:
                 del self._results[next(iter(self._results))]
-        elif status.acknowledge not in self._results:
+        elif status.acknowledge not in self._results or self._has_restarted(status):
             raise self._foreign_sequence(status.acknowledge)
         return status
 
+    def _is_own(self, status: StatusImage) -> bool:
+        """Return True if the image acknowledges a command of this session, or if no session is open yet."""
+        known = not self._results or status.acknowledge in (*self._results, self._unacknowledged)
+        return known and not self._has_restarted(status)
+
+    def _has_restarted(self, status: StatusImage) -> bool:
+        """Return True if the controller has forgotten the acknowledged commands (map, section 6: 0 at power-up)."""
+        return status.acknowledge == 0 != self._acknowledged
+
     def _foreign_sequence(self, acknowledged: int) -> ProtocolError:
+        if acknowledged == 0:
+            return ProtocolError(
+                f"the controller was restarted: it has forgotten command {self._acknowledged}, which it had "
+                "acknowledged",
+                hint="reference the axes, check with `volcal doctor` which table is active, then continue with "
+                "`volcal resume`",
+                **self.where,
+            )
         return ProtocolError(
             f"stale or foreign sequence number {acknowledged} acknowledged, last sent {self._sequence}",
-            hint="the controller restarted, or another client sends commands; only one master is allowed",
+            hint="another client sends commands; only one master is allowed",
             **self.where,
         )
 
-    def _consistent_status(self, status: StatusImage) -> StatusImage:
+    def _consistent_status(self, data: bytes) -> StatusImage:
+        """Decode a status image. It is read again while it is half-written, and once if its contents are not possible,
+        because Modbus TCP does not protect them against an altered byte.
+        """
+        doubted = False
         for _ in range(HALF_WRITTEN_READS):
-            if status.is_consistent:
-                return status
-            status = self._read_status()
+            try:
+                status = self._decoded(data)
+            except ProtocolError:
+                if doubted:
+                    raise
+                doubted = True
+            else:
+                if status.is_consistent and (doubted or self._is_own(status)):
+                    return status
+                doubted = doubted or status.is_consistent
+            data = self._read_status()
+        status = self._decoded(data)
         if status.is_consistent:
             return status
         raise ProtocolError(
@@ -257,8 +287,8 @@ class ModbusSession:
             **self.where,
         )
 
-    def _read_status(self) -> StatusImage:
-        return self._decoded(self.link.read(self.settings.blocks.status, self.layouts.status.size))
+    def _read_status(self) -> bytes:
+        return self.link.read(self.settings.blocks.status, self.layouts.status.size)
 
     def _decoded(self, data: bytes) -> StatusImage:
         return self.layouts.decode_status(data, self.where, self.settings.blocks.status)

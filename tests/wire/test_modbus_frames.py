@@ -184,6 +184,7 @@ def test_the_golden_exception_is_a_typed_error(script: Script) -> None:
         ([answer(1, "17 02 0001")], "was answered with function 23"),
         ([answer(1, "63 02 0001")], "cannot be decoded"),
         ([answer(1, "83 04")], "exception 4, device failure"),
+        ([answer(1, "83 C8")], "unknown Modbus exception 200.*register 1000, device cnc"),
     ],
     indirect=["script"],
 )
@@ -198,7 +199,7 @@ def test_answers_that_the_protocol_does_not_allow(script: Script, text: str) -> 
         ([answer(1, f"83 {code:02X}")], rf"exception {code}, {name}.*register 1000, device cnc")
         for code, name in {1: "illegal function", 2: "illegal register address", 3: "illegal value or count",
                            4: "device failure", 5: "acknowledge", 7: "negative acknowledge", 8: "memory parity",
-                           10: "gateway path", 11: "gateway target", 200: "unknown"}.items()
+                           10: "gateway path", 11: "gateway target"}.items()
     ],
     indirect=["script"],
 )  # fmt: skip

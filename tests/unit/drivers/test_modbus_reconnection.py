@@ -156,7 +156,7 @@ def test_a_controller_that_has_restarted_meanwhile_is_not_taken_for_the_same(cnc
     cnc.stop()
     plc.drop_client()
     plc.registers[1008] = plc.registers[2022] = 0
-    with pytest.raises(ProtocolError, match=r"sequence number 0 acknowledged.*the controller restarted"):
+    with pytest.raises(ProtocolError, match=r"the controller was restarted: it has forgotten command 1"):
         cnc.position()
 
 
