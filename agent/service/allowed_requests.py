@@ -44,12 +44,13 @@ def allowed_in(state: RunState, *, unfinished: bool, question_open: bool, unprov
     """Return the requests that are allowed in `state`.
 
     `unfinished` is True if an interrupted run can be resumed. `unproved` is True if a table is active that was never
-    proved; between runs, the former one may then be reactivated, or the run given up. `question_open` is True if a
-    question that the run asks a person has not been answered yet.
+    proved; no run starts then, and the former table may be reactivated or the run given up. `question_open` is True if
+    a question that the run asks a person has not been answered yet.
     """
     allowed = ALLOWED[state]
     if not unfinished:
         allowed -= {RESUME_RUN}
     if unproved and START in allowed:
-        allowed |= {RESTORE_FORMER, GIVE_UP, RESET}  # a reset tries to restore, too: panels have no other way
+        allowed -= {START}
+        allowed |= {RESTORE_FORMER, GIVE_UP, RESET}  # a reset also tries to restore, as panels need
     return allowed | {ANSWER} if question_open else allowed

@@ -119,7 +119,9 @@ class Owner:
         """Carry out a way out of an unproved table that needs no run. Raise StoreError if the table is still active."""
         with self._changed:
             self._require_nothing_runs()
-            self._require(what, "it is allowed between runs while a table is active that was never proved")
+            self._require(
+                what, "it is allowed between runs, after a reset, while a table is active that was never proved"
+            )
             found = act(self.settings, self._parts.config.parent)
             self._show(found)
             if found.unproved is not None:
