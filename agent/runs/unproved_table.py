@@ -28,10 +28,9 @@ class UnprovedTable:
 
     @property
     def retry(self) -> str:
-        former = (
-            f"the former table (bank {self.former_bank})" if self.former_bank else "the machine without compensation"
-        )
-        return f"`volcal resume --restore` makes {former} active again"
+        if self.former_bank == 0:
+            return "`volcal resume --restore` tries again to switch the compensation off, as it was before"
+        return f"`volcal resume --restore` tries again to make the former table (bank {self.former_bank}) active"
 
     @property
     def proof(self) -> str:
@@ -41,7 +40,8 @@ class UnprovedTable:
 
     @property
     def give_up(self) -> str:
-        return f"`volcal resume --give-up` tries it a last time and ends the run; then {self.at_the_controller}"
+        last = "`volcal resume --give-up` tries it a last time and ends the run"
+        return f"{last}; if it still fails, {self.at_the_controller}"
 
     @property
     def at_the_controller(self) -> str:
@@ -53,4 +53,4 @@ class UnprovedTable:
     @property
     def way_out(self) -> str:
         """Ways out in one line, in the order in which they are tried."""
-        return f"{self.retry}; if it cannot, {self.proof}; else {self.give_up}"
+        return f"{self.retry}; if that fails, {self.proof}; else {self.give_up}"

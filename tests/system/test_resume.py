@@ -18,6 +18,7 @@ import pytest
 from journal_surgery import change_start_of_measuring, rename_steps
 from nights import Night, short_document
 from stored_run import stored_run
+from test_whole_run import WrongSign
 from test_whole_run_interrupted import FORMER, Cut, Tripwire, with_device
 
 from agent.errors import PlanDiverged, PlanRefused
@@ -379,6 +380,39 @@ def test_a_stop_during_the_proof_whose_restore_failed_can_be_proved(
     assert ended.outcome.proof is not None and ended.outcome.proof.accepted
     assert night.active == 2
     assert unproved_table(STATE) is None
+
+
+@pytest.mark.parametrize(("refusals", "active"), [(0, 1), (99, 2)], ids=["restore-works", "restore-never-works"])
+def test_a_proof_that_fails_after_the_resumption_takes_the_table_back_or_says_that_it_could_not(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, refusals: int, active: int
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    supervisors: list[Supervisor] = []
+
+    def stopped_in_the_proof(rig: Rig) -> Rig:
+        WrongSign(rig.store).stage(1, FORMER)
+        rig.store.activate(1)
+        stubborn = Refusing(rig.devices["twin"], 99)
+        wire = Tripwire(stubborn, *IN_THE_PROOF, lambda: supervisors[0].request_abort("SIGINT"))
+        return replace(with_device(rig, wire), store=WrongSign(wire))
+
+    night = Night(tamper=stopped_in_the_proof)
+    night.run(document(), supervisors.append, files=False)
+    assert night.active == 2
+
+    def resumed(rig: Rig) -> Rig:
+        device = Refusing(rig.devices["twin"], refusals)
+        return replace(with_device(rig, device), store=WrongSign(device))
+
+    night.tamper = resumed
+    ended = resume(STATE, night.hooks)
+    assert ended.outcome.proof is not None and not ended.outcome.proof.accepted
+    assert night.active == active
+    left = unproved_table(STATE)
+    assert (left is None) == (active == 1)
+    if left is not None:
+        assert not left.provable
+        assert "cannot prove its table" in left.way_out
 
 
 def test_giving_up_says_what_is_active_and_what_to_do_at_the_controller(proving: Broken) -> None:

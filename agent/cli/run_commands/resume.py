@@ -124,7 +124,7 @@ def _settle(settings: Settings, base: Path, *, give_up: bool, as_json: bool) -> 
     if as_json:
         facts = (run, result.state.value, result.action.value, result.instruction)
         _print_settled(*facts, result.active_bank, result.waiting_bank, as_json=True)
-    else:
+    elif result.action is not ReconcileAction.LEFT:
         click.echo(f"{'no run is unfinished' if run is None else f'run {run}'}: {result.text}")
     if result.action is ReconcileAction.LEFT:
         raise fail(_unsettled(result, give_up=give_up))
