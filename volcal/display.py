@@ -11,6 +11,7 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
+from twin.compensation.controllers.export_format import ControllerExport
 from twin.compensation.table import CompensationTable
 from twin.formats.ball_file import BallFile
 from twin.formats.estimate_file import StoredEstimate
@@ -169,6 +170,14 @@ def _setup(setup: MeasuringSetup) -> str:
         (f"{number}", *(f"{value:g}" for value in place)) for number, place in enumerate(setup.stations_mm, start=1)
     ]
     return _facts(facts) + _table(("station", *(f"{axis} / mm" for axis in AXES)), rows)
+
+
+@html_of.register
+def _export(export: ControllerExport) -> str:
+    facts = [("files", ", ".join(export.files))]
+    facts += [("not represented", loss) for loss in export.losses]
+    facts += [(name.replace("_", " "), str(value)) for name, value in export.facts.items()]
+    return _facts(facts)
 
 
 def _largest_um(estimate: StoredEstimate, sigmas: Array) -> float:

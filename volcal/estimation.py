@@ -56,6 +56,31 @@ class Prediction(Displayed):
         """
         return np.sqrt(np.maximum(np.diagonal(self.covariance_mm2), 0.0)).reshape(-1, 3)
 
+    def distance_error(self, first: int, second: int) -> tuple[float, float]:
+        """Return the error in mm of the distance between two of the n points, given by their indices, and its standard
+        uncertainty in mm.
+
+        The error is positive if the machine produces the distance too long. The alignment has no influence on it.
+        Raises DataError if the points coincide or if there is no point with one of the indices.
+
+        >>> ends = volcal.predict(estimate, [[500.0, 650.0, 750.0], [3500.0, 650.0, 750.0]])
+        >>> error_mm, standard_uncertainty_mm = ends.distance_error(0, 1)
+        >>> standard_uncertainty_mm > 0.0
+        True
+        """
+        count = len(self.points_mm)
+        if not (0 <= first < count and 0 <= second < count):
+            raise DataError(f"there is no distance {first} to {second}", hint=f"Points are 0 to {count - 1}")
+        between = self.points_mm[second] - self.points_mm[first]
+        length = float(np.linalg.norm(between))
+        if length == 0.0:
+            raise DataError(f"the points {first} and {second} coincide", hint="Give two different points")
+        weights = np.zeros((count, 3))
+        weights[first], weights[second] = -between / length, between / length
+        flat = weights.reshape(-1)
+        variance = float(flat @ self.covariance_mm2 @ flat)
+        return float(np.sum(weights * self.error_mm)), float(np.sqrt(max(variance, 0.0)))
+
 
 @dataclass(frozen=True)
 class RigidMotionUncertainty:

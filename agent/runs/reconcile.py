@@ -21,8 +21,9 @@ from agent.execution.steps import CheckPermissions, Plan
 from agent.probing import publish
 from agent.runs.reconcile_result import CompensationState, ReconcileAction, Reconciliation
 from agent.runs.reference_state import ACTIVATING_DECISIONS
-from agent.runs.unfinished_run import UnfinishedRun, unfinished_run
-from drivers.errors import NotActiveYet, PermissionMissing
+from agent.runs.unfinished_run import UnfinishedRun, left_unproved, unfinished_run
+from agent.runs.unproved_table import UnprovedTable
+from drivers.errors import DeviceError, NotActiveYet, PermissionMissing
 from drivers.roles import MotionState
 
 
@@ -40,21 +41,17 @@ class LastCompensation:
     """State of the controller's compensation after the last run that read it, according to the journal.
 
     `former` is the bank that was active before that run. `staged` is the bank that the run wrote, or None if the run
-    wrote no bank. `accepted` is True if the written table was accepted, and `restored` if the former one was
-    reactivated.
+    wrote no bank. `unproved` is True if the run activated that table and left it unproved. `accepted` is True if the
+    written table was accepted, and `restored` if the former one was reactivated.
     """
 
     run: int
     run_id: str
     former: RecordedBank
     staged: RecordedBank | None
+    unproved: bool
     accepted: bool
     restored: bool
-
-    @property
-    def settled(self) -> bool:
-        """True if the written table was accepted or taken back."""
-        return self.accepted or self.restored
 
     @property
     def expected(self) -> RecordedBank:
@@ -66,9 +63,9 @@ def reconcile(rig: Rig, state_directory: Path, *, of_run: int | None = None, res
     never proved by measurement, reactivate the table that was active before it.
 
     This former table is reactivated only if `restore` is set and the machine permits it. `rig` must be open; the
-    machine does not move. The comparison refers to the run with the number `of_run`. If `of_run` is None, it refers to
-    the last run that read the compensation. Raises DeviceError if the controller cannot be read or refuses an action,
-    and InputError if the journal cannot be read.
+    machine does not move. If the controller refuses to reactivate it, the result says so. The comparison refers to the
+    run with the number `of_run`. If `of_run` is None, it refers to the last run that read the compensation. Raises
+    DeviceError if the controller cannot be read, and InputError if the journal cannot be read.
     """
     last = _last_compensation(state_directory, of_run)
     unfinished = unfinished_run(state_directory) if of_run is None else None
@@ -82,7 +79,9 @@ def reconcile(rig: Rig, state_directory: Path, *, of_run: int | None = None, res
         return _restored(rig, state_directory, last, active, unfinished)
     unrepaired = state in (CompensationState.UNPROVED, CompensationState.CHANGED)
     action = ReconcileAction.LEFT if unrepaired else ReconcileAction.NOTHING
-    return Reconciliation(state, action, active, None, unfinished, _instruction(state, last, unfinished))
+    unproved = _unproved(last, unfinished) if state is CompensationState.UNPROVED else None
+    instruction = _instruction(state, last) if unproved is None else unproved.way_out
+    return Reconciliation(state, action, active, None, unfinished, instruction, unproved)
 
 
 def compensation_left(rig: Rig, state_directory: Path) -> Reconciliation | None:
@@ -101,11 +100,13 @@ def compensation_left(rig: Rig, state_directory: Path) -> Reconciliation | None:
         return None
 
 
-def unproved_run(state_directory: Path) -> str | None:
-    """Return the identity of the last run that read the compensation if it wrote a table that was neither accepted nor
-    taken back, according to the journal alone; otherwise None."""
+def unproved_table(state_directory: Path) -> UnprovedTable | None:
+    """Return the table that the last run that read the compensation activated and neither accepted nor took back,
+    according to the journal alone; None if there is none. Raises InputError if the journal cannot be read."""
     last = _last_compensation(state_directory, None)
-    return last.run_id if last is not None and last.staged is not None and not last.settled else None
+    if last is None or not last.unproved:
+        return None
+    return _unproved(last, unfinished_run(state_directory))
 
 
 def has_compensation_record(state_directory: Path) -> bool:
@@ -114,18 +115,17 @@ def has_compensation_record(state_directory: Path) -> bool:
     return _last_compensation(state_directory, None) is not None
 
 
-def _instruction(state: CompensationState, last: LastCompensation, unfinished: UnfinishedRun | None) -> str:
-    match state:
-        case CompensationState.UNPROVED:
-            give_up = f"`volcal resume --give-up` makes the former table (bank {last.former.number}) active again"
-            if unfinished is not None and unfinished.run == last.run and unfinished.resumable:
-                return f"`volcal resume` resumes run {last.run_id}, which proves the table; {give_up}"
-            return f"{give_up}; run {last.run_id} has ended and cannot prove its table"
-        case CompensationState.CHANGED:
-            expected = last.expected.number
-            return f"run {last.run_id} left bank {expected} active: find out who changed it, then calibrate again"
-        case _:
-            return ""
+def _unproved(last: LastCompensation, unfinished: UnfinishedRun | None) -> UnprovedTable | None:
+    if last.staged is None:
+        return None
+    provable = unfinished is not None and unfinished.run == last.run and unfinished.resumable
+    return UnprovedTable(last.run_id, last.staged.number, last.former.number, provable)
+
+
+def _instruction(state: CompensationState, last: LastCompensation) -> str:
+    if state is not CompensationState.CHANGED:
+        return ""
+    return f"run {last.run_id} left bank {last.expected.number} active: find out who changed it, then calibrate again"
 
 
 def _state(last: LastCompensation, active: RecordedBank) -> CompensationState:
@@ -159,8 +159,12 @@ def _waiting(
 def _restored(
     rig: Rig, state_directory: Path, last: LastCompensation, active: int, unfinished: UnfinishedRun | None
 ) -> Reconciliation:
-    def unrestored(action: ReconcileAction, waiting: int | None, instruction: str) -> Reconciliation:
-        return Reconciliation(CompensationState.UNPROVED, action, active, waiting, unfinished, instruction)
+    unproved = _unproved(last, unfinished)
+
+    def unrestored(action: ReconcileAction, waiting: int | None, instruction: str, refused: str = "") -> Reconciliation:
+        return Reconciliation(
+            CompensationState.UNPROVED, action, active, waiting, unfinished, instruction, unproved, refused
+        )
 
     former = last.former
     image = rig.store.read_table(former.number) if former.number else None
@@ -181,6 +185,10 @@ def _restored(
             return unrestored(ReconcileAction.LEFT, None, str(missing))
         except NotActiveYet as late:
             return unrestored(ReconcileAction.RESTORE_WAITS, former.number, f"{late.message}. {late.hint}")
+        except DeviceError as error:
+            if rig.store.active_bank() != former.number:  # otherwise only the answer of the controller was lost
+                way_out = "" if unproved is None else unproved.way_out
+                return unrestored(ReconcileAction.LEFT, None, way_out, error.message)
         aside.table("restored", former.number, image)
     finally:
         journal.close()
@@ -208,6 +216,7 @@ def _read(reader: JournalReader, of_run: int | None) -> LastCompensation | None:
         run_id=backup.run_id,
         former=RecordedBank(backup.bank, backup.crc32),
         staged=None if staged is None else RecordedBank(staged.bank, staged.crc32),
+        unproved=left_unproved(reader, backup.run),
         accepted=reader.has_decision(backup.run, ACTIVATING_DECISIONS),
         restored=reader.last_table(backup.run, "restored") is not None,
     )

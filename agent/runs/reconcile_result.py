@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from agent.runs.unfinished_run import UnfinishedRun
+from agent.runs.unproved_table import UnprovedTable
 
 
 class CompensationState(Enum):
@@ -36,7 +37,8 @@ class Reconciliation:
 
     `active_bank` is the bank that is active after the repair. `waiting_bank` is the bank that the controller will
     activate later, or None. `unfinished` is the interrupted run, or None. `instruction` states the action that a person
-    must take; it is empty if a person need not act.
+    must take; it is empty if a person need not act. `unproved` is the unproved table if it is still active, and
+    `refused` is the reason for which the controller did not reactivate the former table.
     """
 
     state: CompensationState
@@ -45,6 +47,8 @@ class Reconciliation:
     waiting_bank: int | None = None
     unfinished: UnfinishedRun | None = None
     instruction: str = ""
+    unproved: UnprovedTable | None = None
+    refused: str = ""
 
     @property
     def blocks_runs(self) -> bool:
@@ -54,5 +58,7 @@ class Reconciliation:
     @property
     def text(self) -> str:
         """Text for people in one line, with the state of the compensation, the repair and the instruction."""
-        parts = [f"{self.state.value} (bank {self.active_bank} is active)", self.action.value, self.instruction]
+        refused = f"the controller did not reactivate the former table: {self.refused}" if self.refused else ""
+        bank = f"{self.state.value} (bank {self.active_bank} is active)"
+        parts = [bank, self.action.value, refused, self.instruction]
         return "; ".join(part for part in parts if part)

@@ -8,6 +8,8 @@ from pathlib import Path
 
 from agent.execution.journal_reader import JournalReader, has_journal, open_journal
 from agent.execution.states import FINAL, RunState
+from agent.runs.reference_state import ACTIVATING_DECISIONS
+from agent.runs.unproved_table import GIVEN_UP
 
 RESUMABLE_FAULTS = frozenset(
     {
@@ -30,6 +32,9 @@ A motion fault may have moved the artefact. The return to the position therefore
 position whose balls are not where they were is measured again. `GuardTripped`, a motion fault in which the probe has
 touched something, is not among these errors.
 """
+
+STOPPED = "Aborted"
+"""Error of a run that a person has stopped."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +62,8 @@ class UnfinishedRun:
 
 
 def unfinished_run(state_directory: Path) -> UnfinishedRun | None:
-    """Return the last run if it was interrupted. Return None if it ended regularly or if the journal contains no run.
+    """Return the last run if it was interrupted, or if it was stopped and has left an unproved table active, which it
+    can still prove. Return None if it ended regularly or if the journal contains no run.
 
     Only the process that owns the machine may call this function, because a run in progress looks like an interrupted
     one. Raise InputError if the journal cannot be read.
@@ -74,7 +80,9 @@ def _last(reader: JournalReader) -> UnfinishedRun | None:
         return None
     state = RunState(row.state)
     fault = _fault(reader, row.run) if state is RunState.FAULTED else ""
-    if row.ended is not None and fault not in RESUMABLE_FAULTS:
+    stopped = state is RunState.ABORTED or fault == STOPPED
+    unproved = stopped and left_unproved(reader, row.run) and not _was_given_up(reader, row.run)
+    if row.ended is not None and fault not in RESUMABLE_FAULTS and not unproved:
         return None
     return UnfinishedRun(
         run=row.run,
@@ -85,7 +93,7 @@ def _last(reader: JournalReader) -> UnfinishedRun | None:
         reason=row.reason or "",
         balls=reader.count_balls(row.run),
         last_step=reader.last_step_key(row.run) or "",
-        refusal=_refusal(reader, row.run, state),
+        refusal="" if unproved else _refusal(reader, row.run, state),
     )
 
 
@@ -107,3 +115,19 @@ def _fault(reader: JournalReader, run: int) -> str:
         elif event.kind == "fault" and not first:
             first = str(event.record["type"])
     return first
+
+
+def left_unproved(reader: JournalReader, run: int) -> bool:
+    """Return True if the run activated a table that it neither accepted nor took back, according to the journal
+    alone. A resumed run activates its table again after it was taken back, so both are counted."""
+    staged = reader.last_table(run, "staged")
+    if staged is None or reader.has_decision(run, ACTIVATING_DECISIONS):
+        return False
+    activations = [step for step in reader.steps(run, "ActivateBank") if step.error is None]
+    activated = sum(step.detail["bank"] == staged.bank for step in activations)
+    restored = sum(table.role == "restored" for table in reader.tables(run))
+    return bool(activated > restored)
+
+
+def _was_given_up(reader: JournalReader, run: int) -> bool:
+    return reader.last_event_number(run, GIVEN_UP) > 0

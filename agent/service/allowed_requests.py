@@ -12,6 +12,7 @@ from agent.execution.states import RunState
 S = RunState
 
 START, RESUME_RUN = "start", "resume_run"
+RESTORE_FORMER, GIVE_UP = "restore_former", "give_up"
 HOLD, RESUME, ABORT, RESET, ANSWER = "hold", "resume", "abort", "reset", "answer"
 
 STICKY = frozenset({S.ABORTED, S.FAULTED})
@@ -39,13 +40,17 @@ ALLOWED: dict[RunState, frozenset[str]] = {
 }
 
 
-def allowed_in(state: RunState, *, unfinished: bool, question_open: bool) -> frozenset[str]:
+def allowed_in(state: RunState, *, unfinished: bool, question_open: bool, unproved: bool = False) -> frozenset[str]:
     """Return the requests that are allowed in `state`.
 
-    `unfinished` is True if an interrupted run can be resumed. `question_open` is True if a question that the run asks a
-    person has not been answered yet.
+    `unfinished` is True if an interrupted run can be resumed. `unproved` is True if a table is active that was never
+    proved; no run starts then, and the former table may be reactivated or the run given up. `question_open` is True if
+    a question that the run asks a person has not been answered yet.
     """
     allowed = ALLOWED[state]
     if not unfinished:
         allowed -= {RESUME_RUN}
+    if unproved and START in allowed:
+        allowed -= {START}
+        allowed |= {RESTORE_FORMER, GIVE_UP, RESET}  # a reset also tries to restore, as panels need
     return allowed | {ANSWER} if question_open else allowed

@@ -15,6 +15,7 @@ from typing import Any, Protocol
 
 from agent.execution.states import RunState
 from agent.runs.run_request import RunRequest, Source
+from agent.runs.unproved_table import UnprovedTable
 from drivers.roles import PlacementRequest
 
 
@@ -53,8 +54,9 @@ class Status:
     - `ve_before_um` and `ve_now_um` are the volumetric errors (VE) without and with the compensation table, according
       to the last accepted estimate; both are in µm, after the best-fitting rigid motion is removed.
     - `may` contains the requests that are allowed now (``start``, ``hold``, ``resume``, ``abort``, ``reset``,
-      ``answer``, ``resume_run``).
+      ``answer``, ``resume_run``, ``restore_former``, ``give_up``).
     - `unfinished` is the identity of the interrupted run that can be resumed.
+    - `unproved` is the table that is active although it was never proved, or None.
     - `written_not_active` is the bank whose table has been written but becomes active only when the controller is
       restarted.
     """
@@ -77,6 +79,7 @@ class Status:
     active_bank: int | None = None
     written_not_active: int | None = None
     unfinished: str | None = None
+    unproved: UnprovedTable | None = None
     question: Question | None = None
     alarms: tuple[Alarm, ...] = ()
     may: frozenset[str] = frozenset()
@@ -128,6 +131,23 @@ class Control(Protocol):
 
         Return the identity of the new run that restores the table. Raise Busy, UserError or PermissionMissing in the
         same cases as `start`. The machine does not move.
+        """
+        ...
+
+    def restore_former(self) -> None:
+        """Try to reactivate the former table in place of an unproved one. The run that wrote that one can still be
+        resumed, which proves it. Nothing moves.
+
+        Raise StoreError, with the reason and the other ways out, if the controller does not reactivate it, and Busy,
+        NotAllowedInState or DeviceError in the same cases as `start`.
+        """
+        ...
+
+    def give_up(self) -> None:
+        """Do the same as `restore_former`, and end the run: it can no longer be resumed.
+
+        Raise StoreError if the former table could not be reactivated; its text says which table is active, and its hint
+        what the operator must do at the controller.
         """
         ...
 

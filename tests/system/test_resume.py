@@ -18,6 +18,7 @@ import pytest
 from journal_surgery import change_start_of_measuring, rename_steps
 from nights import Night, short_document
 from stored_run import stored_run
+from test_whole_run import WrongSign
 from test_whole_run_interrupted import FORMER, Cut, Tripwire, with_device
 
 from agent.errors import PlanDiverged, PlanRefused
@@ -27,9 +28,10 @@ from agent.execution.rig import Rig
 from agent.execution.run_lock import run_lock
 from agent.execution.run_record import run_ids
 from agent.execution.states import RunState
+from agent.execution.supervisor import Supervisor
 from agent.results.run_outcome import Decision
 from agent.runs.kinds import nightly
-from agent.runs.reconcile import compensation_left, reconcile, unproved_run
+from agent.runs.reconcile import compensation_left, reconcile, unproved_table
 from agent.runs.reconcile_result import CompensationState, ReconcileAction
 from agent.runs.resume.abandon import abandon
 from agent.runs.resume.resume import resume
@@ -265,34 +267,170 @@ def test_another_run_does_not_take_an_unproved_table_for_granted(proving: Broken
     assert unfinished_run(STATE) is None
 
 
-def test_after_the_end_of_a_run_whose_table_was_not_taken_back_everyone_names_the_same_way_out(
-    proving: Broken,
-) -> None:
-    rig = proving.rig
-    way_out = "`volcal resume --give-up` makes the former table (bank 1) active again"
-    before = compensation_left(rig, STATE)
-    assert before is not None and "`volcal resume` resumes run" in before.text and way_out in before.text
+class Refusing:
+    """Device that refuses to activate the former bank as often as stated."""
+
+    def __init__(self, device: Any, times: int) -> None:
+        self._device, self.left = device, times
+
+    def activate(self, bank: int) -> None:
+        if bank == 1 and self.left > 0:
+            self.left -= 1
+            raise CommandRejected("bank locked", device="twin")
+        self._device.activate(bank)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._device, name)
+
+
+def refusing(broken: Broken, times: int) -> Rig:
+    rig = broken.rig
+    return with_device(rig, Refusing(rig.devices["twin"], times))
+
+
+def end_as_aborted(broken: Broken) -> str:
+    """End the run as a stop does whose restore failed, and return its identity."""
     unfinished = unfinished_run(STATE)
     assert unfinished is not None
     journal = Journal(STATE)
-    journal.continue_run(unfinished.run, unfinished.run_id, rig.clock)[0].aside().state(
+    journal.continue_run(unfinished.run, unfinished.run_id, broken.rig.clock)[0].aside().state(
         RunState.ABORTED, "stopped during the proof; the restore failed", final=True
     )
     journal.close()
-    left = compensation_left(rig, STATE)
-    assert left is not None and left.blocks_runs
-    assert way_out in left.text and "cannot prove its table" in left.text
-    with pytest.raises(InputError, match="no run to resume") as refused:
-        proving.resume()
-    assert "volcal resume --give-up" in refused.value.hint
+    return unfinished.run_id
+
+
+def test_everyone_names_the_same_sequence_out_of_an_unproved_table(proving: Broken) -> None:
+    run_id = end_as_aborted(proving)
+    unproved = unproved_table(STATE)
+    assert unproved is not None and unproved.provable
+    assert unproved.situation == f"bank 2 is active with a table of run {run_id} that was never proved"
+    places = [unproved.way_out.index(command) for command in ("--restore", "`volcal resume` resumes", "--give-up")]
+    assert places == sorted(places)
+    left = compensation_left(proving.rig, STATE)
+    assert left is not None and left.blocks_runs and left.unproved == unproved
     started = proving.night.run(document(), files=False)
     assert isinstance(started.error, PlanRefused)
-    assert way_out in str(started.error) and "`volcal resume` resumes" not in str(started.error)
-    assert abandon(proving.rig, STATE, "test").action is ReconcileAction.RESTORED
-    assert proving.night.active == 1
+    for text in (left.text, str(started.error)):
+        assert unproved.way_out in text
+
+
+def test_a_restore_that_fails_twice_is_tried_again_and_leaves_the_run_as_it_is(proving: Broken) -> None:
+    end_as_aborted(proving)
+    rig = refusing(proving, 2)
+    for _ in range(2):
+        failed = reconcile(rig, STATE)
+        assert (failed.action, failed.refused, proving.night.active) == (ReconcileAction.LEFT, "bank locked", 2)
+        assert failed.unproved is not None and failed.unproved.way_out in failed.text
+        assert unproved_table(STATE) is not None
+    restored = reconcile(rig, STATE)
+    assert (restored.action, restored.unproved, proving.night.active) == (ReconcileAction.RESTORED, None, 1)
+    assert unproved_table(STATE) is None
+    settled = compensation_left(rig, STATE)
+    assert settled is not None and not settled.blocks_runs
+
+
+def test_a_restore_whose_answer_was_lost_counts(proving: Broken, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = proving.rig
+    device = rig.devices["twin"]
+    activate = device.activate  # type: ignore[attr-defined]  # the only device plays every role
+
+    def unheard(bank: int) -> None:
+        activate(bank)
+        raise CommandRejected("no answer", device="twin")
+
+    monkeypatch.setattr(device, "activate", unheard, raising=False)
+    assert reconcile(rig, STATE).action is ReconcileAction.RESTORED
+    assert unproved_table(STATE) is None
+
+
+def test_a_run_that_was_stopped_proves_its_table_if_the_restore_never_works(proving: Broken) -> None:
+    end_as_aborted(proving)
+    assert reconcile(refusing(proving, 9), STATE).refused
+    ended = proving.resume()
+    assert ended.error is None
+    assert ended.outcome.proof is not None and ended.outcome.proof.accepted
+    assert proving.night.active == 2
+    assert unproved_table(STATE) is None
+    assert reconcile(proving.rig, STATE).state is CompensationState.AS_EXPECTED
+
+
+def test_a_stop_during_the_proof_whose_restore_failed_can_be_proved(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    supervisors: list[Supervisor] = []
+
+    def tamper(rig: Rig) -> Rig:
+        rig.store.stage(1, FORMER)
+        rig.store.activate(1)
+        stubborn = Refusing(rig.devices["twin"], 99)
+        return with_device(rig, Tripwire(stubborn, *IN_THE_PROOF, lambda: supervisors[0].request_abort("SIGINT")))
+
+    night = Night(tamper=tamper)
+    stopped = night.run(document(), supervisors.append, files=False)
+    assert stopped.outcome.state is not RunState.COMPLETE
+    assert night.active == 2
+    unproved = unproved_table(STATE)
+    assert unproved is not None and unproved.provable
+    assert reconcile(refusing(Broken(night), 1), STATE).refused
+    night.tamper = lambda rig: rig
+    ended = Broken(night).resume()
+    assert ended.error is None
+    assert ended.outcome.proof is not None and ended.outcome.proof.accepted
+    assert night.active == 2
+    assert unproved_table(STATE) is None
+
+
+@pytest.mark.parametrize(("refusals", "active"), [(0, 1), (99, 2)], ids=["restore-works", "restore-never-works"])
+def test_a_proof_that_fails_after_the_resumption_takes_the_table_back_or_says_that_it_could_not(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, refusals: int, active: int
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    supervisors: list[Supervisor] = []
+
+    def stopped_in_the_proof(rig: Rig) -> Rig:
+        WrongSign(rig.store).stage(1, FORMER)
+        rig.store.activate(1)
+        stubborn = Refusing(rig.devices["twin"], 99)
+        wire = Tripwire(stubborn, *IN_THE_PROOF, lambda: supervisors[0].request_abort("SIGINT"))
+        return replace(with_device(rig, wire), store=WrongSign(wire))
+
+    night = Night(tamper=stopped_in_the_proof)
+    night.run(document(), supervisors.append, files=False)
+    assert night.active == 2
+
+    def resumed(rig: Rig) -> Rig:
+        device = Refusing(rig.devices["twin"], refusals)
+        return replace(with_device(rig, device), store=WrongSign(device))
+
+    night.tamper = resumed
+    ended = resume(STATE, night.hooks)
+    assert ended.outcome.proof is not None and not ended.outcome.proof.accepted
+    assert night.active == active
+    left = unproved_table(STATE)
+    assert (left is None) == (active == 1)
+    if left is not None:
+        assert not left.provable
+        assert "cannot prove its table" in left.way_out
+
+
+def test_giving_up_says_what_is_active_and_what_to_do_at_the_controller(proving: Broken) -> None:
+    run_id = end_as_aborted(proving)
+    result = abandon(refusing(proving, 9), STATE, "test")
+    assert (result.action, result.refused, proving.night.active) == (ReconcileAction.LEFT, "bank locked", 2)
+    row = stored_run(STATE).row
+    assert row.state == "aborted" and "bank 2 is active" in (row.reason or "")
+    left = unproved_table(STATE)
+    assert left is not None and not left.provable
+    assert f"run {run_id} has ended and cannot prove its table" in left.way_out
+    assert "activate bank 1 at the controller" in left.way_out
+    with pytest.raises(InputError, match="no run to resume") as refused:
+        proving.resume()
+    assert left.way_out in refused.value.hint
+    proving.rig.store.activate(1)  # by the operator
     settled = compensation_left(proving.rig, STATE)
     assert settled is not None and not settled.blocks_runs
-    assert unproved_run(STATE) is None
 
 
 def test_while_another_process_owns_the_machine_its_table_is_not_judged(proving: Broken) -> None:

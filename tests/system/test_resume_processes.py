@@ -14,6 +14,8 @@ from typing import Any
 from simulated import SHORT_SET, balls_in, configured, scenario_text, simulated, wait_until
 from stored_run import stored_run
 
+from agent.execution.journal_reader import has_journal
+
 BALLS_BEFORE_THE_KILL = 5
 
 
@@ -89,3 +91,30 @@ def test_a_killed_calibration_goes_on_to_its_end(tmp_path: Path) -> None:
     assert run.measured_twice == []
     assert any(step.key.startswith("resume-1/datum/") for step in run.steps)
     assert (run.row.state, run.row.ended is not None) == ("complete", True)
+
+
+def test_a_run_killed_during_its_proof_is_restored_by_command_and_can_still_prove_its_table(tmp_path: Path) -> None:
+    scenario, positions = short_case(tmp_path)
+    with simulated(scenario) as (_, ready):
+        config = shortened(configured(ready, tmp_path), positions)
+        state = tmp_path / "state"
+        with volcal(tmp_path, "calibrate", "--config", str(config)) as agent:
+            try:
+                wait_until(lambda: proving(state), agent)
+                os.kill(agent.pid, signal.SIGKILL)
+                agent.communicate(timeout=600.0)
+            finally:
+                agent.kill()
+        run_id = stored_run(state).row.run_id
+        restored = finished(volcal(tmp_path, "resume", "--restore", "--config", str(config)))
+        assert (restored["run_id"], restored["found"]) == (run_id, "a new table acts that was never proved")
+        assert (restored["done"], restored["active_bank"]) == ("the former table acts again", 0)
+        again = finished(volcal(tmp_path, "resume", "--restore", "--config", str(config)))
+        assert again["done"] == "nothing had to be done"
+        outcome = finished(volcal(tmp_path, "resume", "--config", str(config)))
+    assert outcome["state"] == "complete"
+    assert outcome["table_bank"] != 0
+
+
+def proving(state: Path) -> bool:
+    return has_journal(state) and any(step.key.startswith("verify/station-1/") for step in stored_run(state).steps)

@@ -69,6 +69,12 @@ class FakeControl:
         self.asked.append(("resume_run", source))
         return self._begin("calibrate", None)
 
+    def restore_former(self) -> None:
+        self.asked.append(("restore_former", None))
+
+    def give_up(self) -> None:
+        self.asked.append(("give_up", None))
+
     def restore_table(self, run_id: str, role: str, source: Source) -> str:
         self.asked.append(("restore_table", (run_id, role, source)))
         return self._begin("restore", None)

@@ -82,7 +82,7 @@ class CompensationTable(Displayed):
 
     def __repr__(self) -> str:
         shape = " × ".join(str(len(nodes)) for nodes in self.nodes)
-        return f"<CompensationTable: {shape} nodes, machine {self.machine!r}>"
+        return f"<CompensationTable: {shape} nodes, machine {self.machine or 'not stated'}>"
 
     def __post_init__(self) -> None:
         for axis, nodes in zip(AXES, self.nodes, strict=True):

@@ -9,7 +9,7 @@ field is computed from the exact product of the axis transforms, not from its li
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -40,28 +40,38 @@ def draw_truth(assumptions: TruthAssumptions, rng: np.random.Generator, tool_off
     return TrueMachine(family.model, family.draw(rng, 1)[0], offset, assumptions.deflection)
 
 
+@dataclass(frozen=True, eq=False)
+class TrueArtefact:
+    """True artefact, and the error in K of its thermometer, which is positive if the thermometer reads too high."""
+
+    artefact: Artefact
+    thermometer_error_k: float
+
+
 def simulated_observations(
     planned: Observations,
     artefact: Artefact,
     truth: TrueMachine,
     assumptions: TruthAssumptions,
     rng: np.random.Generator,
+    true_artefact: TrueArtefact | None = None,
 ) -> Observations:
     """Simulate the measurement of the `planned` balls on the machine `truth`, and return the observations.
 
     `planned` contains the observations that an error-free machine would give at the same balls. `artefact` is the
-    artefact with its certified values. Random numbers are drawn even for an influence (such as touch noise) that
-    `assumptions` switch off, so the values of the other influences do not depend on what is switched off.
+    artefact with its certified values; the true one is drawn unless it is given as `true_artefact`. Random numbers are
+    drawn even for an influence (such as touch noise) that `assumptions` switch off, so the values of the other
+    influences do not depend on what is switched off.
     """
-    real, shift_k = _draw_artefact(artefact, assumptions, rng)
-    change = _ball_displacements(planned, artefact, real, assumptions.artefact_temperature_c)
+    real = true_artefact or draw_artefact(artefact, assumptions, rng)
+    change = _ball_displacements(planned, artefact, real.artefact, assumptions.artefact_temperature_c)
     found = _measured_positions(planned, truth, planned.axis_positions + change)
     found += _draw_drift(planned.position, assumptions.drift_mm, rng)
     touches = _touch_noise(planned.covariance, rng)
     if assumptions.touch_noise:
         found += touches
     # The balls are at the true temperature, but the observations state what the thermometer shows.
-    shown_c = np.full(planned.size, assumptions.artefact_temperature_c + shift_k)
+    shown_c = np.full(planned.size, assumptions.artefact_temperature_c + real.thermometer_error_k)
     return replace(planned, axis_positions=found, temperature_c=shown_c)
 
 
@@ -99,10 +109,8 @@ def _embed(form: FieldForm, parameters: Array, indices: IndexArray) -> Array:
     return vectors
 
 
-def _draw_artefact(
-    artefact: Artefact, assumptions: TruthAssumptions, rng: np.random.Generator
-) -> tuple[Artefact, float]:
-    """Draw the true artefact and the error of its thermometer in K, positive if the thermometer reads too high."""
+def draw_artefact(artefact: Artefact, assumptions: TruthAssumptions, rng: np.random.Generator) -> TrueArtefact:
+    """Draw the true artefact with the certified values of `artefact`, and the error of its thermometer."""
     off_mm = _factor(artefact.covariance) @ rng.standard_normal(3 * artefact.count)
     off_per_k = artefact.cte_standard_uncertainty_per_k * rng.standard_normal()
     shift_k = assumptions.thermometer_uncertainty_k * rng.standard_normal()
@@ -111,7 +119,7 @@ def _draw_artefact(
         balls=artefact.balls + assumptions.certificate * off_mm.reshape(-1, 3),
         cte_per_k=artefact.cte_per_k + assumptions.cte * off_per_k,
     )
-    return real, float(shift_k)
+    return TrueArtefact(real, float(shift_k))
 
 
 def _ball_displacements(planned: Observations, stated: Artefact, real: Artefact, temperature_c: float) -> Array:

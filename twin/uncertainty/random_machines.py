@@ -20,11 +20,12 @@ import numpy as np
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
+from twin.errors import DataError
 from twin.machine.deflection import DeflectionGrid
 from twin.machine.error_model import Ranges
 from twin.machine.machine_description import MachineDescription
 from twin.machine.true_machine import TrueMachine
-from twin.uncertainty.monte_carlo import simulated_observations
+from twin.uncertainty.monte_carlo import TrueArtefact, simulated_observations
 from twin.uncertainty.truth_assumptions import TruthAssumptions
 
 _NODES = (41, 14, 16)  # fine enough for the shortest rail wave along X: eight nodes per pitch
@@ -137,15 +138,35 @@ class RandomMachine:
     assumptions: TruthAssumptions
     noise: float
 
-    def measure(self, planned: Observations, artefacts: Artefact, rng: np.random.Generator) -> Observations:
-        """Simulate the measurement of the `planned` balls on this machine, and return the observations.
+    def measure(
+        self,
+        planned: Observations,
+        artefacts: Artefact,
+        rng: np.random.Generator,
+        true_artefact: TrueArtefact | None = None,
+    ) -> Observations:
+        """Simulate the measurement of the `planned` balls on this machine, and return the observations. The true
+        artefact is drawn unless it is given.
 
         As in a real measurement, the covariance in the observations is the stated covariance of the ball centres, not
         the true one.
         """
         true = replace(planned, covariance=self.noise**2 * planned.covariance)
-        seen = simulated_observations(true, artefacts, self.truth, self.assumptions, rng)
+        seen = simulated_observations(true, artefacts, self.truth, self.assumptions, rng, true_artefact)
         return replace(seen, covariance=planned.covariance)
+
+    def changed(self, share: float, rng: np.random.Generator) -> RandomMachine:
+        """Return this machine after a random change of its errors, under the same conditions.
+
+        `share` is the standard deviation of the change of each parameter, relative to its standard deviation in the
+        family. Raises DataError if it is negative or not finite.
+        """
+        if not (np.isfinite(share) and share >= 0.0):
+            raise DataError(f"the change of a machine must be a finite number of at least 0, not {share:g}")
+        step = (
+            share * self.assumptions.family.prior_standard_deviation * rng.standard_normal(len(self.truth.parameters))
+        )
+        return replace(self, truth=replace(self.truth, parameters=self.truth.parameters + step))
 
 
 def draw_random_machine(

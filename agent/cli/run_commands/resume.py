@@ -22,12 +22,13 @@ if will_run():
     from agent.cli.run_commands.progress import watching
     from agent.cli.run_commands.run_summary import show_summary
     from agent.cli.run_commands.trial import show_trial
-    from agent.cli.service_commands.requests import resumed_by_service
+    from agent.cli.service_commands.requests import resumed_by_service, settled_by_service
     from agent.errors import MeasurementFault
     from agent.execution.device_assembly import assemble, closing_clock, make_clock
     from agent.execution.run_lock import run_lock
     from agent.results.run_outcome import Decision
-    from agent.runs.reconcile_result import ReconcileAction
+    from agent.runs.reconcile import reconcile
+    from agent.runs.reconcile_result import CompensationState, ReconcileAction, Reconciliation
     from agent.runs.resume.abandon import abandon as abandon_run
     from agent.runs.resume.resume import resume
     from agent.runs.run_context import RunHooks
@@ -42,18 +43,25 @@ if will_run():
 @click.option(
     "--give-up", "abandon", is_flag=True, help="Do not resume: reactivate the previous table and end the run."
 )
+@click.option(
+    "--restore",
+    is_flag=True,
+    help="Do not resume: try to reactivate the previous table; the run can still be resumed.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end.")
 @reported
-def resume_command(config: Path, abandon: bool, as_json: bool) -> None:
+def resume_command(config: Path, abandon: bool, restore: bool, as_json: bool) -> None:
     """Resume the interrupted run; completed measurements are not repeated.
 
     If the service is running, it resumes the run, also after a hold; otherwise the run resumes in this process. The run
     uses the settings and files with which it started; a file that has changed since is refused. The settings given here
     only name the state directory with the journal.
     """
+    if abandon and restore:
+        raise click.UsageError("--restore and --give-up exclude each other: --give-up also tries to restore")
     settings = load_settings(config)
-    if abandon:
-        _give_up(settings, config.resolve().parent, as_json=as_json)
+    if abandon or restore:
+        _settle(settings, config.resolve().parent, give_up=abandon, as_json=as_json)
         return
     if resumed_by_service(settings):
         return
@@ -86,22 +94,57 @@ def _show_and_exit(ended: RunResult, *, as_json: bool) -> None:
         conclude(ended)
 
 
-def _give_up(settings: Settings, base: Path, *, as_json: bool) -> None:
+def _settle(settings: Settings, base: Path, *, give_up: bool, as_json: bool) -> None:
+    """Try to reactivate the previous table, print what was found and done, and with `give_up` end the run.
+
+    A service that tells of an unproved table does it; otherwise it is done in this process.
+    """
+    answered = settled_by_service(settings, give_up=give_up)
+    if answered is not None:
+        former, now = answered["former"]["unproved"], answered["now"]
+        found, done = CompensationState.UNPROVED.value, ReconcileAction.RESTORED.value
+        _print_settled(
+            former["run_id"], found, done, "", now["active_bank"], now["written_not_active"], as_json=as_json
+        )
+        return
     with (
-        run_lock(settings.state_directory, "to be given up"),
+        run_lock(settings.state_directory, "to be given up" if give_up else "whose former table is reactivated"),
         closing_clock(make_clock(settings.clock)) as clock,
     ):
         rig = assemble(settings, clock, base)
         rig.open()
         try:
-            result = abandon_run(rig, settings.state_directory, "volcal resume --give-up")
+            if give_up:
+                result = abandon_run(rig, settings.state_directory, "volcal resume --give-up")
+            else:
+                result = reconcile(rig, settings.state_directory)
         finally:
             rig.close()
     run = None if result.unfinished is None else result.unfinished.run_id
     if as_json:
-        facts = {"run_id": run, "found": result.state.value, "done": result.action.value, "person": result.instruction}
-        click.echo(json.dumps({**facts, "active_bank": result.active_bank, "waiting_bank": result.waiting_bank}))
-    else:
+        facts = (run, result.state.value, result.action.value, result.instruction)
+        _print_settled(*facts, result.active_bank, result.waiting_bank, as_json=True)
+    elif result.action is not ReconcileAction.LEFT:
         click.echo(f"{'no run is unfinished' if run is None else f'run {run}'}: {result.text}")
     if result.action is ReconcileAction.LEFT:
-        raise fail(StoreError("the previous table could not be reactivated", hint=result.instruction))
+        raise fail(_unsettled(result, give_up=give_up))
+
+
+def _print_settled(
+    run: str | None, found: str, done: str, person: str, active: int, waiting: int | None, *, as_json: bool
+) -> None:
+    if as_json:
+        facts = {"run_id": run, "found": found, "done": done, "person": person}
+        click.echo(json.dumps({**facts, "active_bank": active, "waiting_bank": waiting}))
+    else:
+        click.echo(f"run {run}: {found}; {done} (bank {active} is active)")
+
+
+def _unsettled(result: Reconciliation, *, give_up: bool) -> StoreError:
+    reason = f": {result.refused}" if result.refused else ""
+    if result.unproved is None or not result.refused:
+        return StoreError(f"the previous table could not be reactivated{reason}", hint=result.instruction)
+    if give_up:
+        message = f"the run has ended, but {result.unproved.situation}{reason}"
+        return StoreError(message, hint=f"{result.unproved.at_the_controller}; until then no run starts")
+    return StoreError(f"{result.unproved.situation}{reason}", hint=result.instruction)

@@ -5,7 +5,9 @@ Each command sends one request to the service, the process that owns the machine
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -81,3 +83,22 @@ def resumed_by_service(settings: Settings) -> bool:
         else:
             click.echo(client.post("/api/resume-run", {"source": "command line"})["run_id"])
     return True
+
+
+def settled_by_service(settings: Settings, *, give_up: bool) -> Mapping[str, Any] | None:
+    """Request the service to reactivate the former table in place of an unproved one, and with `give_up` to end the
+    run.
+
+    Return the status of the service before and after it, as `former` and `now`. Return None if no service is running or
+    if it knows of no unproved table. Raises StoreError if the table is still active.
+    """
+    try:
+        client = Client(settings)
+    except NoService:
+        return None
+    with client:
+        former = client.get("/api/status")
+        if former["unproved"] is None:
+            return None
+        client.post(f"/api/unproved-table/{'give-up' if give_up else 'restore'}")
+        return {"former": former, "now": client.get("/api/status")}

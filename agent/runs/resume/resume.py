@@ -19,7 +19,7 @@ from agent.execution.run_state import RunStateTracker
 from agent.execution.states import RunState
 from agent.planning.job_preparation import prepare_job
 from agent.runs.origin import Origin, read_origin
-from agent.runs.reconcile import reconcile, unproved_run
+from agent.runs.reconcile import reconcile, unproved_table
 from agent.runs.resume.replay_clock import ResumedClock
 from agent.runs.resume.replay_engine import Replay, ReplayingEngine, require_crc
 from agent.runs.resume.return_to_position import ReturnToPosition
@@ -108,14 +108,9 @@ def resumable_origin(state_directory: Path) -> Origin:
     run = unfinished_run(state_directory)
     file = str(state_directory / FILE_NAME)
     if run is None:
-        unproved = unproved_run(state_directory)
-        hint = (
-            f"run {unproved} wrote a table that was neither proved nor taken back; if that one still acts, "
-            "`volcal resume --give-up` makes the former table active again"
-        )
-        raise InputError(
-            "there is no run to resume: the last one has ended", hint=hint if unproved is not None else "", file=file
-        )
+        unproved = unproved_table(state_directory)
+        hint = "" if unproved is None else f"{unproved.situation}; {unproved.way_out}"
+        raise InputError("there is no run to resume: the last one has ended", hint=hint, file=file)
     if not run.resumable:
         raise InputError(f"run {run.run_id} cannot be resumed: {run.refusal}", file=file)
     with open_journal(state_directory) as reader:

@@ -157,6 +157,7 @@ def _gateway_values(status: Status, facts: GatewayFacts) -> dict[str, float | st
         "question": status.question is not None,
         "bank_waiting": status.written_not_active is not None,
         "unfinished_run": status.unfinished is not None,
+        "unproved_table": status.unproved is not None,
         "panel_alive": facts.panel_alive,
         "access_code_set": facts.access_code_set,
     }

@@ -148,7 +148,8 @@ PACKML_NUMBERS: Final = {
 }
 """Numbers of the PackML states, as in the PackTag StateCurrent; 0 means undefined."""
 KIND_NUMBERS: Final[dict[str, int]] = {kind: number for number, kind in enumerate(KINDS, start=1)}
-FLAGS: Final = ("running", "alarm", "question", "bank_waiting", "unfinished_run", "panel_alive", "access_code_set")
+FLAGS: Final = ("running", "alarm", "question", "bank_waiting", "unfinished_run", "panel_alive", "access_code_set",
+                "unproved_table")  # fmt: skip
 MAY: Final = ("start", "hold", "resume", "abort", "reset", "answer", "resume_run")
 
 

@@ -79,6 +79,22 @@ def restore_table(app_state: AppStateDependency, body: RestoreBody) -> RunStarte
     return RunStarted(run_id=app_state.control.restore_table(body.run_id, body.role, body.source))
 
 
+@with_token.post("/unproved-table/restore")
+def restore_former(app_state: AppStateDependency) -> RequestAccepted:
+    """Try to reactivate the former table in place of one that was never proved. The run that wrote it can still be
+    resumed. Nothing moves."""
+    app_state.control.restore_former()
+    return RequestAccepted()
+
+
+@with_token.post("/unproved-table/give-up")
+def give_up(app_state: AppStateDependency) -> RequestAccepted:
+    """Try to reactivate the former table a last time and end the run that wrote the unproved one. If the controller
+    refuses, the problem document says which table is active and what to do at the controller. Nothing moves."""
+    app_state.control.give_up()
+    return RequestAccepted()
+
+
 @with_token.post("/settings/check")
 def check_settings(app_state: AppStateDependency, body: SettingsBody) -> RequestAccepted:
     """Validate the text of a settings file without using it. If the text is invalid, the problem document names the key

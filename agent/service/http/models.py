@@ -98,6 +98,19 @@ class QuestionView(BaseModel):
     placement: PlacementView | None = None
 
 
+class UnprovedTableView(BaseModel):
+    """Table that is active although it was never proved. `former_bank` was active before (0: no compensation).
+    `provable` is true if the run can be resumed and then proves its table. `situation` says in words what is active,
+    and `way_out` the ways out in their order, as commands of the command line."""
+
+    run_id: str
+    bank: int
+    former_bank: int
+    provable: bool
+    situation: str
+    way_out: str
+
+
 class StatusView(BaseModel):
     """Status of the service, with the fields of `agent.service.control.Status`. `event` is the number of the last event
     that the status includes."""
@@ -120,6 +133,7 @@ class StatusView(BaseModel):
     active_bank: int | None
     written_not_active: int | None
     unfinished: str | None
+    unproved: UnprovedTableView | None
     question: QuestionView | None
     alarms: list[AlarmView]
     may: list[str]

@@ -108,6 +108,12 @@ VARIABLES: Final = (
         "bank written but not active: restart of the controller required; -1 none",
         lambda s: _count(s.written_not_active),
     ),
+    Variable(
+        "Monitoring/UnprovedTable",
+        "String",
+        "which table is active although it was never proved, and the ways out; empty if none",
+        lambda s: "" if s.unproved is None else f"{s.unproved.situation}; {s.unproved.way_out}",
+    ),
     Variable("Production/ActiveProgram/Name", "String", "position set", lambda s: s.position_set or ""),
     Variable(
         "Production/ActiveProgram/State",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
+from pathlib import Path
 from queue import Queue
 
 import structlog
@@ -16,6 +17,7 @@ from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
 from agent.runs.kinds.restoration import TABLE_ROLES, Restoration, stored_table
 from agent.runs.planned_run import Kind
+from agent.runs.reconcile_result import Reconciliation
 from agent.runs.requested_run import job_of, kind_of
 from agent.runs.resume.resume import resumable_origin
 from agent.runs.run_context import RunHooks
@@ -32,7 +34,7 @@ from agent.service.owner.unattended import minutes_until_end, require_permission
 from agent.service.state.status_board import IdleStatus
 from agent.settings.load import naming
 from agent.settings.schema import Settings
-from drivers.errors import PermissionMissing, UserError, VolcalError
+from drivers.errors import PermissionMissing, StoreError, UserError, VolcalError
 
 log = structlog.get_logger()
 
@@ -104,6 +106,28 @@ class Owner:
         self._launch(running, lambda: self._parts.resume(self.settings.state_directory, hooks, asked=asked))
         return origin.run_id
 
+    def restore_former(self) -> None:
+        self._settle(allowed_requests.RESTORE_FORMER, self._parts.machine.reconcile)
+
+    def give_up(self) -> None:
+        def give_up(settings: Settings, base: Path) -> Reconciliation:
+            return self._parts.machine.give_up(settings, base, "given up at an endpoint of the service")
+
+        self._settle(allowed_requests.GIVE_UP, give_up)
+
+    def _settle(self, what: str, act: Callable[[Settings, Path], Reconciliation]) -> None:
+        """Carry out a way out of an unproved table that needs no run. Raise StoreError if the table is still active."""
+        with self._changed:
+            self._require_nothing_runs()
+            self._require(
+                what, "it is allowed between runs, after a reset, while a table is active that was never proved"
+            )
+            found = act(self.settings, self._parts.config.parent)
+            self._show(found)
+            if found.unproved is not None:
+                refused = f": {found.refused}" if found.refused else ""
+                raise StoreError(f"{found.unproved.situation}{refused}", hint=found.instruction)
+
     def hold(self) -> None:
         self._require(allowed_requests.HOLD, "a run can be held only while it is moving")
         self._on_running(RunMailbox.hold, "hold requested")
@@ -120,7 +144,7 @@ class Owner:
             self._require_nothing_runs()
             if self._board.state in allowed_requests.STICKY:
                 self._parts.journal_state.acknowledge(self._board.status().run_id)
-            if self._board.state is not RunState.IDLE:
+            if self._board.state is not RunState.IDLE or self._board.status().alarms:
                 self._board.reset()
             self.reconcile_if_reached()
 
@@ -170,8 +194,12 @@ class Owner:
         """
         if not self._reconciled:
             found = self._parts.machine.reconcile(self.settings, self._parts.config.parent)
-            self._reconciled = True
-            self._board.show_reconciliation(found)
+            self._show(found)
+
+    def _show(self, found: Reconciliation) -> None:
+        """Show the result of a comparison. If an unproved table is active, the next start or reset compares again."""
+        self._reconciled = found.unproved is None
+        self._board.show_reconciliation(found)
 
     def reconcile_if_reached(self) -> None:
         """Call `reconcile`, and log any error instead of raising it.

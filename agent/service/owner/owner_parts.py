@@ -13,6 +13,7 @@ from agent.execution.rig import Rig
 from agent.execution.run_lock import Ownership
 from agent.runs.reconcile import reconcile
 from agent.runs.reconcile_result import Reconciliation
+from agent.runs.resume.abandon import abandon
 from agent.runs.resume.resume import resume
 from agent.runs.session import RunResult, carry_out
 from agent.service.owner.health import Health
@@ -53,6 +54,11 @@ class MachineAccess:
         """
         with self._opened_rig(settings, base) as rig:
             return reconcile(rig, settings.state_directory)
+
+    def give_up(self, settings: Settings, base: Path, reason: str) -> Reconciliation:
+        """Do the same as `reconcile`, and end the run that can still be resumed."""
+        with self._opened_rig(settings, base) as rig:
+            return abandon(rig, settings.state_directory, reason)
 
     @contextmanager
     def _opened_rig(self, settings: Settings, base: Path) -> Iterator[Rig]:

@@ -15,6 +15,7 @@ from agent.execution.journal_reader import JournalReader, has_journal, open_jour
 from agent.execution.states import FINAL, RunState
 from agent.planning.job_preparation import prepare_job
 from agent.runs.kinds.drift_check import Judge
+from agent.runs.reconcile import unproved_table
 from agent.runs.reference_state import ACTIVATING_DECISIONS, reference_for
 from agent.runs.unfinished_run import unfinished_run
 from agent.service.allowed_requests import STICKY
@@ -81,6 +82,7 @@ class JournalState:
         return an empty state."""
         try:
             active_bank, unfinished = self._active_bank(), unfinished_run(self.directory)
+            unproved = unproved_table(self.directory)
             before_um, now_um = _volumetric_errors(settings, base)
         except VolcalError as error:
             log.warning("state of the machine between runs unknown", error=str(error))
@@ -88,7 +90,8 @@ class JournalState:
         return IdleStatus(
             ve_before_um=before_um,
             ve_now_um=now_um,
-            active_bank=active_bank,
+            active_bank=active_bank if unproved is None else unproved.bank,
+            unproved=unproved,
             unfinished=unfinished.run_id if unfinished is not None and unfinished.resumable else None,
         )
 

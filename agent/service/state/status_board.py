@@ -16,6 +16,7 @@ from agent.execution.steps import ActivateBank, ReadActiveBank, ReadTemperatures
 from agent.results.run_outcome import Outcome
 from agent.runs.reconcile_result import Reconciliation
 from agent.runs.run_request import Source
+from agent.runs.unproved_table import UnprovedTable
 from agent.service.alarms import alarm_of
 from agent.service.allowed_requests import AT_REST, allowed_in
 from agent.service.control import Alarm, Question, Status
@@ -62,6 +63,7 @@ class IdleStatus:
     active_bank: int | None = None
     written_not_active: int | None = None
     unfinished: str | None = None
+    unproved: UnprovedTable | None = None
 
 
 @dataclass
@@ -84,7 +86,9 @@ class StatusBoard:
     def status(self) -> Status:
         now = self._status
         question_open, unfinished = now.question is not None, now.unfinished is not None
-        return replace(now, may=allowed_in(now.state, unfinished=unfinished, question_open=question_open))
+        unproved = now.unproved is not None
+        may = allowed_in(now.state, unfinished=unfinished, question_open=question_open, unproved=unproved)
+        return replace(now, may=may)
 
     # ------------------------------------------------------------------ between runs
 
@@ -109,11 +113,21 @@ class StatusBoard:
     def show_reconciliation(self, result: Reconciliation) -> None:
         """Show the result of a comparison of the controller with the journal, including the bank that is active in the
         controller. If a person must act, show the instruction as an alarm."""
-        self._change(active_bank=result.active_bank, written_not_active=result.waiting_bank)
+        unfinished, former = result.unfinished, self._status.unproved
+        told = () if former is None else tuple(a for a in self._status.alarms if a.text.startswith(former.situation))
+        self._change(
+            alarms=tuple(alarm for alarm in self._status.alarms if alarm not in told),
+            active_bank=result.active_bank,
+            written_not_active=result.waiting_bank,
+            unproved=result.unproved,
+            unfinished=unfinished.run_id if unfinished is not None and unfinished.resumable else None,
+        )
         self.event_log.publish("note", result.text, {"found": result.state.value, "done": result.action.value})
         log.info("reconciled", text=result.text)
         if result.instruction:
-            self.alarm(alarm_of(StoreError(result.state.value, hint=result.instruction)))
+            refused = f": {result.refused}" if result.refused else ""
+            situation = result.state.value if result.unproved is None else result.unproved.situation
+            self.alarm(alarm_of(StoreError(f"{situation}{refused}", hint=result.instruction)))
 
     # ------------------------------------------------------------------ a run
 
@@ -204,11 +218,20 @@ class StatusBoard:
     def _change(self, **values: Any) -> None:
         with self._lock:
             changed = replace(self._status, **values)
-            self._status = replace(changed, doing=doing(changed.state, changed.step, changed.kind))
+            self._status = replace(changed, doing=_doing_now(changed))
 
 
 def _mapping(result: object) -> dict[str, Any]:
     return dict(result) if isinstance(result, dict) else {}
+
+
+def _doing_now(status: Status) -> str:
+    """Return the current activity as one line of text. Between runs it says if an unproved table is active; panels show
+    48 characters of it."""
+    if status.unproved is not None and status.state in AT_REST:
+        words = "not ready" if status.state is S.IDLE else _STATES[status.state].split(";")[0]
+        return f"{words}: unproved table active (bank {status.unproved.bank})"
+    return doing(status.state, status.step, status.kind)
 
 
 def doing(state: RunState, step: str, kind: str | None) -> str:

@@ -60,11 +60,12 @@ def settings_document(state: Path, **sections: Any) -> dict[str, Any]:
 @dataclasses.dataclass(frozen=True)
 class AbsentMachine(MachineAccess):
     """`status`: what the machine says where it is asked; `away`: what it answers next when asked for its compensation;
-    `asked`: whether it was reached."""
+    `asked`: whether it was reached; `found`: what the next comparisons find."""
 
     status: MachineStatus = READY_MACHINE
     away: list[VolcalError] = dataclasses.field(default_factory=list)
     asked: list[str] = dataclasses.field(default_factory=list)
+    found: list[Reconciliation] = dataclasses.field(default_factory=list)
 
     def machine_status(self, settings: Settings, base: Path) -> MachineStatus:
         return self.status
@@ -73,7 +74,13 @@ class AbsentMachine(MachineAccess):
         self.asked.append("away" if self.away else "reached")
         if self.away:
             raise self.away.pop()
+        if self.found:
+            return self.found.pop(0)
         return Reconciliation(CompensationState.UNKNOWN, ReconcileAction.NOTHING, 0)
+
+    def give_up(self, settings: Settings, base: Path, reason: str) -> Reconciliation:
+        self.asked.append(reason)
+        return self.reconcile(settings, base)
 
 
 @dataclasses.dataclass(frozen=True)

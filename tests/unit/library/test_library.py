@@ -167,3 +167,59 @@ def test_a_thermometer_is_never_exact_unless_it_is_stated(names: Mapping[str, An
     options = volcal.Options(estimate_scales=False, outliers="none", temperature_standard_uncertainty_k=0.2)
     known = volcal.identify(read, setup.machine, setup.artefact, order="file", options=options).carried_over()
     assert (used_k(read, carried_over=known), used_k(unread, carried_over=known)) == (0.2, 3.0)
+
+
+def test_a_distance_error_is_that_of_the_predicted_errors_and_does_not_depend_on_the_alignment(
+    names: Mapping[str, Any],
+) -> None:
+    estimate = names["estimate"]
+    ends = [[500.0, 300.0, 400.0], [3500.0, 900.0, 400.0]]
+    aligned = volcal.predict(estimate, ends)
+    unaligned = volcal.predict_unaligned(estimate, ends, volcal.RigidMotionUncertainty(0.01, 0.0))
+    error_mm, sigma_mm = aligned.distance_error(0, 1)
+    points = (aligned.points_mm + aligned.error_mm, ends)
+    produced, nominal = (np.linalg.norm(np.diff(two, axis=0)) for two in points)
+    assert error_mm == pytest.approx(produced - nominal, abs=1e-6)
+    assert unaligned.distance_error(1, 0)[0] == pytest.approx(error_mm, abs=1e-9)
+    assert unaligned.distance_error(0, 1)[1] == pytest.approx(sigma_mm, rel=0.05)
+
+
+@pytest.mark.parametrize(("first", "second"), [(0, 2), (-1, 0), (0, 0)])
+def test_a_distance_needs_two_points(names: Mapping[str, Any], first: int, second: int) -> None:
+    prediction = volcal.predict(names["estimate"], [[0.0, 0.0, 0.0], [100.0, 0.0, 0.0]])
+    with pytest.raises(volcal.DataError):
+        prediction.distance_error(first, second)
+
+
+def test_the_same_machine_is_measured_again_with_the_same_artefact(names: Mapping[str, Any]) -> None:
+    first = volcal.simulate(names["setup"], "S1", seed=3)
+    same, changed = first.measure_again("S1", seed=4), first.measure_again("S1", seed=4, change=0.5)
+    assert same.true_machine is first.true_machine
+    assert same.true_artefact is changed.true_artefact is first.true_artefact
+    noise, difference = (
+        np.abs(one.balls.observations.axis_positions - first.balls.observations.axis_positions).max()
+        for one in (same, changed)
+    )
+    assert noise > 0.0
+    assert not np.isclose(difference, noise)
+    np.testing.assert_array_equal(
+        same.balls.observations.axis_positions, first.measure_again("S1", seed=4).balls.observations.axis_positions
+    )
+    with pytest.raises(volcal.DataError, match="change"):
+        first.measure_again("S1", change=-0.1)
+
+
+def test_the_remaining_error_of_a_table_is_that_of_its_lossless_export(
+    names: Mapping[str, Any], tmp_path: Path
+) -> None:
+    setup = names["setup"]
+    simulation = volcal.simulate(setup, "S3", seed=2)
+    estimate = volcal.identify(simulation.balls, setup.machine, setup.artefact, order=5)
+    table = volcal.compensation_table(estimate, simulation.balls)
+    export = volcal.export_table(table, "neutral", tmp_path)
+    points = np.random.default_rng(1).uniform([0.0, 0.0, 0.0], [4000.0, 1300.0, 1500.0], (50, 3))
+    without, with_table, with_export = (
+        simulation.true_error(points, table=one, aligned=True) for one in (None, table, export)
+    )
+    np.testing.assert_allclose(with_export, with_table, atol=1e-4)
+    assert np.sqrt(np.mean(with_table**2)) < 0.9 * np.sqrt(np.mean(without**2))

@@ -38,7 +38,8 @@ class Balanced(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def values() -> Mapping[str, Any]:
+def values(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Any]:
+    folder = tmp_path_factory.mktemp("export")
     setup = volcal.case_study()
     balls = volcal.read_balls(volcal.shipped_file("examples/case-study-balls.csv"), setup.machine)
     estimate = volcal.identify(balls, setup.machine, setup.artefact, order=3)
@@ -53,10 +54,12 @@ def values() -> Mapping[str, Any]:
         "prediction": volcal.predict(estimate, [[0.0, 0.0, 0.0], [2000.0, 650.0, 750.0]]),
         "design": volcal.evaluate(setup, "S1"),
         "simulation": volcal.simulate(setup, "S1"),
+        "export": volcal.export_table(volcal.compensation_table(estimate, balls), "neutral", folder),
     }
 
 
-NAMES = ("setup", "machine", "artefact", "balls", "estimate", "table", "errors", "prediction", "design", "simulation")
+NAMES = ("setup", "machine", "artefact", "balls", "estimate", "table", "errors", "prediction", "design", "simulation",
+         "export")  # fmt: skip
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -9,6 +9,7 @@ from typing import Protocol
 from twin.arrays import Array
 from twin.compensation.controllers.format_options import ExportOptions
 from twin.compensation.table import CompensationTable
+from twin.display import Displayed
 from twin.machine.error_model import ErrorModel
 
 Correction = Callable[[Array], Array]
@@ -39,7 +40,7 @@ class ExportSource:
 
 
 @dataclass(frozen=True, eq=False)
-class ControllerExport:
+class ControllerExport(Displayed):
     """Result of an export.
 
     - `files` maps each file name to the text of the file.
@@ -54,6 +55,9 @@ class ControllerExport:
     correction: Correction
     losses: tuple[str, ...]
     facts: Facts = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return f"<ControllerExport: {len(self.files)} files, {len(self.losses)} losses>"
 
 
 class FormatWriter(Protocol):

@@ -48,8 +48,12 @@ function render(status, parts) {
   parts.percent.textContent = status.run_id ? `${number(share, 0)} %` : "";
   parts.left.textContent = status.minutes_left === null ? "" : say("progress.left", { minutes: number(status.minutes_left, 0) });
   parts.facts.replaceChildren(...FACTS.map(([name, text]) => make("div", {}, make("dt", {}, say(name)), make("dd", {}, text(status)))));
-  const cards = [...(status.question ? [questionCard(status.question)] : []), ...status.alarms.map(alarmCard)];
-  const shown = JSON.stringify([status.question, status.alarms, document.documentElement.lang]);
+  const cards = [
+    ...(status.question ? [questionCard(status.question)] : []),
+    ...(status.unproved ? [unprovedCard(status)] : []),
+    ...alarmsBeside(status).map(alarmCard),
+  ];
+  const shown = JSON.stringify([status.question, status.unproved, status.may, status.alarms, document.documentElement.lang]);
   if (parts.cards.dataset.shown === shown) return;
   parts.cards.dataset.shown = shown;
   parts.cards.replaceChildren(...cards);
@@ -84,6 +88,34 @@ function placementLines({ azimuth_deg: azimuth, elevation_deg: elevation, balls,
     make("p", {}, say("question.place.then", { ball: balls.length ? balls[0].ball : "" })),
   ];
 }
+
+/* Ways out of an unproved table in the order in which they are tried; each has its button once it is allowed. */
+function unprovedCard({ unproved, may, alarms }) {
+  const { run_id: run, bank, former_bank: former, provable, situation } = unproved;
+  const reason = alarms.map(({ text }) => text).find((text) => text.startsWith(`${situation}: `))?.slice(situation.length + 2);
+  const can = (what) => may.includes(what);
+  const facts = { run, bank, former };
+  const step = (text, id, label, act, allowed) => make("li", {}, say(text, facts), " ",
+    make("button", { id, disabled: !allowed, onclick: act }, say(label, facts)));
+  const post = (path, done) => () => request(`/api/${path}`, path === "resume-run" ? { source: "page" } : {}, done);
+  return make("section", { className: "card alarm", id: "unproved" },
+    make("h3", {}, say("unproved.title")),
+    make("p", {}, say("unproved.situation", facts)),
+    reason ? make("p", { className: "where" }, say("unproved.reason", { reason })) : null,
+    can("restore_former") ? null : make("p", { className: "hint" }, say("unproved.reset_first")),
+    make("ol", { className: "ways-out" },
+      step(former ? "unproved.restore" : "unproved.restore_none", "restore-former", "unproved.restore.button",
+        post("unproved-table/restore", "done.restore_former"), can("restore_former")),
+      provable
+        ? step("unproved.prove", "prove-table", "unproved.prove.button", post("resume-run", "done.resume_run"), can("resume_run"))
+        : make("li", {}, say("unproved.not_provable", facts)),
+      step(former ? "unproved.give_up" : "unproved.give_up_none", "give-up", "unproved.give_up.button",
+        post("unproved-table/give-up", "done.give_up"), can("give_up"))));
+}
+
+/* The card of an unproved table says what its alarm says, with buttons in place of commands. */
+const alarmsBeside = ({ alarms, unproved }) =>
+  alarms.filter(({ text }) => !(unproved && text.startsWith(unproved.situation)));
 
 function alarmCard({ code, text, hint, where }) {
   const title = `alarm.${code}`, own = `alarm.${code}.do`;

@@ -13,7 +13,13 @@ export const LOOKS = {
 const named = (state) => state.replaceAll(/[ ,]+/g, "_");
 export const stateWord = (state) => say(`state.${named(state)}`);
 
-export function doing({ state, step }) {
+const AT_REST = new Set(["idle", "complete", "refused", "written, not active", "aborted", "faulted"]);
+
+export function doing({ state, step, unproved }) {
+  if (unproved && AT_REST.has(state)) {
+    const word = state === "idle" ? say("unproved.not_ready") : stateWord(state);
+    return say("doing.unproved", { state: word, bank: unproved.bank });
+  }
   const words = say(`doing.${named(state)}`);
   const where = MOVING.has(state) ? stepWords(step) : "";
   return where ? `${words}: ${where}` : words;
