@@ -23,6 +23,7 @@ import numpy as np
 
 from agent.planning.case_file import CASE_STUDY, load_case
 from agent.planning.design.design_problem import DesignProblem
+from agent.runs.kinds.calibrate import calibration_of
 from twin.design.candidates import CandidatePositions
 from twin.design.goals import PositionCountGoal
 from twin.design.search import ExchangeSearch, Selection
@@ -69,7 +70,7 @@ def greedy(search: ExchangeSearch) -> tuple[int, ...]:
 
 def run() -> dict[str, float]:
     job = load_case(CASE_STUDY)
-    problem = DesignProblem({job.settings.tool: job}, GRID_DEG)
+    problem = DesignProblem({job.settings.tool: job}, GRID_DEG, calibration_of)
     start = perf_counter()
     candidates = problem.candidates
     built = perf_counter()

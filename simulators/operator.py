@@ -9,28 +9,39 @@ from contextlib import suppress
 import structlog
 from pydantic import Field
 
+from drivers.clock import Clock
 from drivers.errors import CommandRejected, LinkLost, LinkTimeout, ProtocolError
 from drivers.options import DriverOptions
 from drivers.registry import DeviceContext, DriverPlugin
 from drivers.roles import DiagnosticFinding, OperatorRequest, OperatorTask, PlacementRequest
+from twin.units import S_PER_MIN
 
 LONGEST_ANSWER = 65536
 log = structlog.get_logger()
 
 
 class SimulatedOperatorSettings(DriverOptions):
-    """Address on which `volcal simulate` listens for control requests, as printed in its first line of output."""
+    """Address on which `volcal simulate` listens for control requests, as printed in its first line of output.
+
+    `carrying_minutes` is the machine time that the person takes to put the artefact in its place.
+    """
 
     host: str = "127.0.0.1"
     port: int = Field(ge=1, le=65535)
     response_timeout_s: float = Field(default=5.0, gt=0.0, le=60.0)
+    carrying_minutes: float = Field(default=0.0, ge=0.0, le=600.0)
 
 
 class SimulatedOperator:
-    """Simulated person with the role `drivers.roles.Operator`, who fulfils and confirms every request at once."""
+    """Simulated person with the role `drivers.roles.Operator`, who fulfils and confirms every request.
 
-    def __init__(self, settings: SimulatedOperatorSettings, name: str) -> None:
+    The person takes the time that the settings state, on the clock of the run, so that a simulated run takes as long as
+    one with a person.
+    """
+
+    def __init__(self, settings: SimulatedOperatorSettings, name: str, clock: Clock) -> None:
         self._settings = settings
+        self._clock = clock
         self._name = name
         self._socket: socket.socket | None = None
 
@@ -67,6 +78,7 @@ class SimulatedOperator:
         if request.task is not OperatorTask.CONSENT:
             if request.station is None:
                 raise CommandRejected("the request names no station for the artefact", device=self._name)
+            self._clock.sleep(self._settings.carrying_minutes * S_PER_MIN)
             if isinstance(request, PlacementRequest):
                 pose = {"azimuth_deg": request.azimuth_deg, "elevation_deg": request.elevation_deg}
                 self._request({"do": "place_by_hand", "station": request.station, **pose})
@@ -126,7 +138,7 @@ class SimulatedOperator:
 
 
 def _create(settings: SimulatedOperatorSettings, context: DeviceContext) -> SimulatedOperator:
-    return SimulatedOperator(settings, context.name)
+    return SimulatedOperator(settings, context.name, context.clock)
 
 
 PLUGIN = DriverPlugin("simulated-operator", SimulatedOperatorSettings, _create)

@@ -19,7 +19,7 @@ from agent.execution.steps import UNKEYED, Conclude, Fork, Plan, RunPlan, Step, 
 from agent.planning.cycle_time import TimedStep
 from agent.planning.safety_rules import SafetyRules, checked_plan
 from agent.planning.stand_ins import MemoryStore, stand_in_answers
-from agent.planning.time_model import TimeModel
+from agent.planning.time_model import TimeModel, takes_time
 from agent.probing.position import PositionRules
 from agent.probing.recovery import withdraw
 from agent.probing.run_plan import MeasuredPositions
@@ -141,7 +141,7 @@ class BranchWalk:
         motion_s, overhead_s = self.clock.now() - self._last_s, self.model.overhead_s(step)
         self.clock.sleep(overhead_s)
         self._last_s = self.timeline[step.key] = self.clock.now()
-        if motion_s or overhead_s:
+        if motion_s or overhead_s or takes_time(step):
             self.steps.append(TimedStep(step, motion_s, overhead_s))
         if not isinstance(step, UNKEYED):
             self.keys.append(step.key)

@@ -81,17 +81,25 @@ def machine_minutes(job: Job, positions: Sequence[Position]) -> MachineMinutes:
     azimuth and elevation of the rotary mount are zero. Only `positions` are timed; the held-out positions
     of `job` are not included.
     """
-    order = MeasuringOrder(PREFIX, tuple(positions), job.settings.stations.standing_at)
-    _, steps = walk_plan(job, measure_positions(order, job.layout, job.rules))
+    listed = replace(job, positions=tuple(positions))
+    _, steps = walk_plan(listed, expected_plan(set_alone(listed)))
     seconds: dict[str, float] = defaultdict(float)
     for timed in steps:
         if not timed.carrying:
             seconds[_position_of(timed.step.key)] += timed.seconds
     return MachineMinutes(
         total=sum(timed.seconds for timed in steps) / S_PER_MIN,
-        per_position={p: seconds[position_key(p)] / S_PER_MIN for p in order.positions},
+        per_position={p: seconds[position_key(p)] / S_PER_MIN for p in listed.positions},
         carrying=sum(timed.seconds for timed in steps if timed.carrying) / S_PER_MIN,
     )
+
+
+def set_alone(job: Job) -> RunPlan:
+    """Return the plan that measures the positions of `job` in the given order and nothing else: neither the checks
+    before a run nor its held-out positions. Studies compare position sets by it; no run carries it out."""
+    order = MeasuringOrder(PREFIX, job.positions, job.settings.stations.standing_at)
+    yield from measure_positions(order, job.layout, job.rules)
+    return None
 
 
 def position_minutes(job: Job, position: Position) -> float:

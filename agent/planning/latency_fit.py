@@ -10,8 +10,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
+from agent.execution.encoding import encode_result, encode_step
 from agent.execution.journal_rows import StepRow
-from agent.execution.steps import Point
+from agent.execution.steps import Point, Step
 from agent.planning.time_model import TimeModel
 from drivers.roles import OperatorTask
 from twin.collision.motion_law import straight_path
@@ -90,7 +91,7 @@ def _fitted(kind: str, given_s: float, observed: Sequence[ObservedStep]) -> floa
 
 def step_kind_timings(model: TimeModel, observed: Sequence[ObservedStep]) -> list[StepKindTiming]:
     """Return, for every kind of step in `observed`, the observed times and the times predicted by the time model."""
-    given, fitted = _latencies(model), _latencies(refit(model, observed))
+    given, fitted = latencies_of(model), latencies_of(refit(model, observed))
     table = []
     for kind in KINDS:
         of_kind = [step for step in observed if step.kind == kind]
@@ -111,7 +112,8 @@ def suggested_settings(model: TimeModel) -> dict[str, float]:
     }
 
 
-def _latencies(model: TimeModel) -> dict[str, float]:
+def latencies_of(model: TimeModel) -> dict[str, float]:
+    """Return the latency in s of each kind of step according to the time model `model`."""
     return {
         MOVE: model.command_latency_s,
         TOUCH: model.touch_latency_s,
@@ -131,6 +133,34 @@ def _summary(kind: str, steps: Sequence[ObservedStep], latency_s: float, suggest
         suggested_latency_s=suggested_s,
         rest_s=math.sqrt(math.fsum(value * value for value in rest) / len(rest)),
     )
+
+
+class LatencyRecord:
+    """Running mean of what the steps of each kind took beyond their motion, kept while a run is carried out."""
+
+    def __init__(self, model: TimeModel) -> None:
+        self._replay = _Replay(model)
+        self._beyond_s = dict.fromkeys(KINDS, 0.0)
+        self._counts = dict.fromkeys(KINDS, 0)
+
+    def observe(self, step: Step, result: object, took_s: float) -> None:
+        """Take note of a step that took `took_s` in s. Steps from an unknown position do not count, nor do kinds of
+        steps that take no time."""
+        kind = type(step).__name__
+        if kind not in (*KINDS, "ReadPosition"):
+            return
+        row = StepRow(0, step.key, kind, encode_step(step), 0.0, took_s, encode_result(result), None)
+        observed = self._replay.observed(row)
+        if observed is not None:
+            self._beyond_s[kind] += took_s - observed.motion_s
+            self._counts[kind] += 1
+
+    def count(self, kind: str) -> int:
+        return self._counts[kind]
+
+    def mean_s(self, kind: str) -> float:
+        """Return the mean of `kind` in s; negative means are zero, as in `refit`, and so is the mean of no steps."""
+        return max(0.0, self._beyond_s[kind] / self._counts[kind]) if self._counts[kind] else 0.0
 
 
 class _Replay:

@@ -85,6 +85,13 @@ class TimeModel:
         return 0.0
 
 
+def takes_time(step: Step) -> bool:
+    """Return True if `step` is of a kind that has a latency, even if the settings state none."""
+    if isinstance(step, AskOperator):
+        return step.request.task is not OperatorTask.CONSENT
+    return isinstance(step, (MoveTo, TouchTowards, OrientTo))
+
+
 def time_model(machine: MachineDescription, timing: TimingSettings) -> TimeModel:
     """Return the time model for `machine`. The limits of speed and acceleration of X, Y and Z come from the machine
     file, and all other values come from the section `timing` of the settings."""

@@ -154,6 +154,7 @@ def _facts(record: RunRecord, inputs: Mapping[str, Any], trend: str) -> RunFacts
     return RunFacts(
         touches=outcome.get("touches", record.touches),
         machine_minutes=outcome.get("machine_minutes", record.minutes),
+        forecast_minutes=outcome.get("predicted_minutes"),
         balls=record.balls,
         reason=record.reason,
         times=(

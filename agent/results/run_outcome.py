@@ -10,6 +10,7 @@ from agent.execution.states import RunState
 from agent.probing.reversal import AxisReversal
 from agent.results.estimation import NO_ESTIMATION, EstimationResult
 from agent.results.night_changes import drift_document, jump_documents
+from agent.results.run_time import RunTime
 from agent.results.trial_report import TrialReport
 from twin.artefact.effect_test import NO_GAIN, REQUIRED_POWER
 from twin.monitoring.constant_drift import FoundDrift
@@ -201,6 +202,7 @@ class Outcome:
     kind: str = "calibrate"
     reason: str = ""
     link_interruptions: int = 0
+    run_time: RunTime | None = None
 
     def as_json(self) -> dict[str, object]:
         """Return this outcome as the JSON object that docs/reference/json.md describes. `verified` is null if no new
@@ -215,6 +217,7 @@ class Outcome:
             "touches": self.touches,
             "machine_minutes": round(self.machine_minutes, 3),
             "predicted_minutes": None if self.predicted_minutes is None else round(self.predicted_minutes, 3),
+            "run_time": None if self.run_time is None else self.run_time.as_json(),
             "wall_seconds": round(self.wall_seconds, 3),
             "link_interruptions": self.link_interruptions,
             **(NO_ESTIMATION if self.estimation is None else self.estimation.as_json()),

@@ -22,6 +22,8 @@ from agent.execution.run_state import RunStateTracker
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
 from agent.planning.job import Job
+from agent.planning.time_model import time_model
+from agent.probing.run_plan import VERIFIED
 from agent.results.journal_entries import record_outcome
 from agent.results.run_outcome import Outcome
 from agent.runs.guard import attempt, carry_out_guarded
@@ -30,6 +32,7 @@ from agent.runs.planned_run import Kind, PlannedRun, StartConditions
 from agent.runs.reference_state import write_copy
 from agent.runs.result_files import write_results
 from agent.runs.run_context import RunContext, RunHooks, run_actions
+from agent.runs.run_forecast import RunForecast
 from agent.runs.run_start import enter_in_journal, read_start_conditions
 from agent.runs.step_progress import StepProgress
 from agent.settings.schema import ClockSettings
@@ -176,7 +179,8 @@ class RunSession:
         context = self._context
         planned = self._kind.plan(self._job, start, context.supervisor.check_stop_request)
         context.hooks.preflight_passed(planned.job, planned.preflight)
-        self._planned, self._steps.preflight = planned, planned.preflight
+        self._planned = planned
+        self._steps.begin(_forecast(planned))
         context.tracker.note(
             "preflight passed: no collision, no limit",
             machine_minutes=planned.preflight.machine_minutes,
@@ -263,6 +267,7 @@ class RunSession:
     def _outcome(self) -> Outcome:
         context, progress, estimation = self._context, self.progress, self.progress.estimation
         settings = self._measured_job.settings
+        minutes = (context.clock.now() - self._started_s) / S_PER_MIN
         return Outcome(
             state=context.tracker.state,
             run_id=context.journal.run_id,
@@ -270,10 +275,11 @@ class RunSession:
             formulation=settings.identification.formulation,
             balls=self._steps.balls if estimation is None else estimation.observations.size,
             touches=self._steps.touches,
-            machine_minutes=(context.clock.now() - self._started_s) / S_PER_MIN,
+            machine_minutes=minutes,
             wall_seconds=wall_seconds() - self._began_s,
             link_interruptions=sum(context.rig.link_interruptions().values()),
             predicted_minutes=None if self._planned is None else self._planned.preflight.machine_minutes,
+            run_time=self._steps.run_time(minutes),
             table_bank=progress.active_bank,
             report=None,
             estimation=estimation,
@@ -285,6 +291,13 @@ class RunSession:
             kind=self._kind.name,
             reason="" if progress.error is None else str(progress.error),
         )
+
+
+def _forecast(planned: PlannedRun) -> RunForecast:
+    job, preflight = planned.job, planned.preflight
+    verified = any(VERIFIED in branch.concluded for branch in preflight.branches)
+    model = time_model(job.machine, job.settings.timing)
+    return RunForecast(preflight, model, job.held_out if verified else ())
 
 
 @contextmanager

@@ -8,14 +8,15 @@ from agent.execution.engine import Observer
 from agent.execution.rig import Rig
 from agent.execution.run_state import RunStateTracker
 from agent.execution.steps import Record, Step, TouchTowards
-from agent.planning.preflight import PreflightResult
+from agent.results.run_time import RunTime
+from agent.runs.run_forecast import RunForecast
 from agent.runs.run_results import RunResults
 from twin.units import S_PER_MIN
 
 
 class StepProgress:
-    """Observer of the steps of a run. It counts touches and balls, and announces the progress according to the times
-    that the preflight has predicted."""
+    """Observer of the steps of a run. It counts touches and balls, and announces the progress according to the forecast
+    of the run, which follows the times of the steps."""
 
     def __init__(self, tracker: RunStateTracker, further: Observer, rig: Rig) -> None:
         """`further` is another observer; it receives every step before this one.
@@ -28,12 +29,25 @@ class StepProgress:
         self._noted: Mapping[str, int] = {}
         self._impaired: set[tuple[str, str]] = set()
         self._further = further
-        self.preflight: PreflightResult | None = None
+        self._forecast: RunForecast | None = None
+        self._last_s = 0.0
         self.results = RunResults()
         self.touches = 0
         self.balls = 0
 
+    def begin(self, forecast: RunForecast) -> None:
+        """Follow the run with `forecast` from now on."""
+        self._forecast, self._last_s = forecast, self._rig.clock.now()
+
+    def run_time(self, minutes: float) -> RunTime | None:
+        """Return the account of the time of a run that took `minutes`; None if it was not planned."""
+        return None if self._forecast is None else self._forecast.run_time(minutes)
+
     def observe(self, step: Step, result: object) -> None:
+        if self._forecast is not None:
+            now_s = self._rig.clock.now()
+            self._forecast.observe(step, result, now_s - self._last_s)
+            self._last_s = now_s
         self.results.observe(step, result)
         self._further(step, result)
         self._note_interruptions()
@@ -62,17 +76,14 @@ class StepProgress:
     def _observe_record(self, step: Record) -> None:
         if "note" in step.payload:
             self._tracker.announce_note(step.payload["note"])
-        if step.kind == "ball" and self.preflight is not None:
+        if step.kind == "ball" and self._forecast is not None:
             self.balls += 1
-            self._announce_progress(step.key, self.preflight)
+            self._announce_progress(step.key, self._forecast)
 
-    def _announce_progress(self, key: str, preflight: PreflightResult) -> None:
-        """Announce the fraction of machine time used and the minutes left.
-
-        Both are computed from the times of the preflight.
-        """
-        done_s = preflight.timeline.get(key)
-        if done_s is not None:
-            left_s = preflight.machine_seconds - done_s
-            fraction = done_s / preflight.machine_seconds
+    def _announce_progress(self, key: str, forecast: RunForecast) -> None:
+        """Announce the fraction of machine time used and the minutes left. Both follow the latencies that the run has
+        shown so far."""
+        left_s, done_s = forecast.left_s(key), forecast.done_s(key)
+        if left_s is not None and done_s is not None:
+            fraction = done_s / (done_s + left_s)
             self._tracker.progress(key, fraction=fraction, minutes_left=left_s / S_PER_MIN)

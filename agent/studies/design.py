@@ -19,7 +19,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from agent.figures.style import BLUE, GREEN, INK, ORANGE, PURPLE, from_zero
-from agent.planning.cycle_time import machine_minutes
+from agent.planning.cycle_time import machine_minutes, set_alone
 from agent.planning.design.design_problem import DesignProblem
 from agent.planning.design.design_result import Prove, find_design
 from agent.planning.design.set_valuation import valuation_of
@@ -106,7 +106,7 @@ def run(case: StudyCase) -> StudyResult:
     reference = next(one for one in named if one.name == REFERENCE)
     goals: list[tuple[str, Goal]] = [(SLOT_KIND, TimeSlotGoal(share * reference.minutes)) for share in SLOT_SHARES]
     goals.append((TARGET_KIND, TargetErrorGoal(1e-3 * reference.criterion_um)))
-    problem = DesignProblem(base.jobs, GRID_DEG)
+    problem = DesignProblem(base.jobs, GRID_DEG, set_alone)
     designs = [
         evaluator.evaluate_design(base, problem, goal, kind=kind, prove=case.prove)
         for kind, goal in _counted(case, goals, "designs")
@@ -114,7 +114,9 @@ def run(case: StudyCase) -> StudyResult:
     slot = TimeSlotGoal(VARIANT_SHARE * reference.minutes)
     options = _counted(case, _options(case.job), "artefacts and touches")
     variants = [
-        evaluator.evaluate_design(variant, DesignProblem(variant.jobs, GRID_DEG), slot, kind="variant", prove=None)
+        evaluator.evaluate_design(
+            variant, DesignProblem(variant.jobs, GRID_DEG, set_alone), slot, kind="variant", prove=None
+        )
         for variant in options
     ]
     evaluated = [*named, *designs, *variants]

@@ -31,13 +31,19 @@ def changed_settings(former: str, now: str) -> str:
 
 
 def test_a_designed_set_is_one_that_plan_takes_and_values_alike():
-    said = volcal_json("design", *CASE, "--slot", "12min", "--verify-set", "--out", "set.csv", "--grid-deg", "45")
+    said = volcal_json("design", *CASE, "--slot", "24min", "--verify-set", "--out", "set.csv", "--grid-deg", "45")
     written = parse_positions(Path("set.csv").read_text(), "set.csv")
     assert [position.station for position in written] == [row["station"] for row in said["positions"]]
     assert len(written) >= 2
-    assert said["machine_minutes"] <= 12.0
+    assert said["machine_minutes"] <= 24.0
     assert said["rehearsed"] is True
-    plan = volcal_json("plan", "--config", str(CONFIG / "case-study.toml"), "--position-set", "set.csv", exit_code=7)
+    orientations = dict.fromkeys((row["azimuth_deg"], row["elevation_deg"]) for row in said["held_out"])
+    listed = f"positions_deg = {[list(one) for one in orientations]}\nstations = [1, 4]"
+    planned = ("--config", changed_settings("stations = [1, 4]", listed), "--position-set", "set.csv")
+    plan = volcal_json("plan", *planned, exit_code=7)
+    assert said["machine_minutes"] == plan["machine_minutes"]
+    assert said["minutes_by_phase"] == plan["minutes_by_phase"]
+    assert sum(plan["minutes_by_phase"].values()) == pytest.approx(plan["machine_minutes"], abs=0.003)
     # preflight fits know the radius from the qualification, so their centres are a little better than planned
     assert plan["predicted_vce_um"] == pytest.approx(said["expected_vce_um"], rel=1e-2)
     assert plan["predicted_vce_raw_um"] == pytest.approx(said["expected_vce_raw_um"], rel=1e-2)

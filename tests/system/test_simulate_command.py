@@ -8,6 +8,7 @@ import socket
 import struct
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -147,11 +148,31 @@ def test_operator_moves_the_artefact(simulator: Simulator) -> None:
         operator.ask(OperatorRequest(OperatorTask.MOVE_ARTEFACT, "to station 2", 2))
 
 
+def test_the_simulated_operator_takes_the_time_of_a_person(simulator: Simulator) -> None:
+    host, port = simulator.place("control")
+    clock = VirtualClock()
+    settings = SimulatedOperatorSettings(host=host, port=port, carrying_minutes=2.0)
+    operator = PLUGIN.create(settings, DeviceContext("hand", clock, ROOT))
+    operator.open()
+    assert isinstance(operator, Operator)
+    assert operator.ask(OperatorRequest(OperatorTask.CONSENT, "may the machine move?")) is True
+    assert clock.now() == 0.0
+    assert operator.ask(OperatorRequest(OperatorTask.MOVE_ARTEFACT, "to station 1", 1)) is True
+    assert clock.now() == pytest.approx(120.0)
+    operator.close()
+
+
+def test_the_shipped_person_takes_the_time_of_the_forecast() -> None:
+    shipped = tomllib.loads((ROOT / "config" / "hand-placed.toml").read_text(encoding="utf-8"))
+    person = shipped["devices"]["operator"]["options"]
+    assert person["carrying_minutes"] == shipped["timing"]["relocation_minutes"] > 0.0
+
+
 def test_operator_without_a_simulator() -> None:
     with socket.create_server(("127.0.0.1", 0)) as unused:
         port = unused.getsockname()[1]
     with pytest.raises(LinkLost, match="no answer at"):
-        SimulatedOperator(SimulatedOperatorSettings(port=port), "hand").open()
+        SimulatedOperator(SimulatedOperatorSettings(port=port), "hand", VirtualClock()).open()
 
 
 @pytest.mark.parametrize(

@@ -60,7 +60,7 @@ class TimeSlotGoal:
         if self.minutes < shortest.min():
             raise DataError(
                 f"{self.minutes:g} min are too short: separating machine and artefact errors takes two positions, and "
-                f"the shortest two take {shortest.min():.1f} min",
+                f"the shortest two take {shortest.min():.1f} min{_of_which_fixed(search.costs.fixed_minutes)}",
                 hint="allow a longer slot, or use fewer touches or fewer balls",
                 key="slot",
             )
@@ -101,6 +101,10 @@ class TargetErrorGoal:
 
 
 Goal = PositionCountGoal | TimeSlotGoal | TargetErrorGoal
+
+
+def _of_which_fixed(minutes: float) -> str:
+    return f", of which {minutes:.1f} min are checks and proof" if minutes > 0.0 else ""
 
 
 def _count_limit(count: int, candidates: int) -> FeasibleMask:

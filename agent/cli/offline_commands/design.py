@@ -23,14 +23,14 @@ if will_run():
     from agent.figures.heading import subject
     from agent.files import translated
     from agent.planning.case_file import load_case
-    from agent.planning.cycle_time import machine_minutes
     from agent.planning.design.design_files import check_target, write_design
     from agent.planning.design.design_result import DesignResult, VariantDesign, compare_variants
     from agent.planning.design.pareto_figure import ReferenceSet
     from agent.planning.design.set_valuation import valuation_of
     from agent.planning.design.variants import variants_of
     from agent.planning.job import Job
-    from agent.runs.kinds.calibrate import preflight_of
+    from agent.planning.run_minutes import run_minutes
+    from agent.runs.kinds.calibrate import calibration_of, preflight_of
     from agent.settings.load import naming
     from drivers.clock import wall_seconds
     from drivers.errors import InputError, UserError
@@ -66,7 +66,9 @@ def _minutes(_: click.Context, __: click.Parameter, text: str | None) -> float |
 @click.option("--machine", type=PATH, metavar="FILE", help="Machine file instead of the one in the settings.")
 @click.option("--artefact", type=PATH, metavar="FILE", help="Artefact file instead of the one in the settings.")
 @click.option("--stations", type=click.IntRange(min=1), metavar="N", help="N stations, evenly spaced along their axis.")
-@click.option("--slot", callback=_minutes, metavar="20min", help="Smallest VCE within this machine time.")
+@click.option(
+    "--slot", callback=_minutes, metavar="20min", help="Smallest VCE of a run within this time, proof included."
+)
 @click.option("--positions", type=int, metavar="N", help="Smallest VCE with N positions.")
 @click.option("--target-vce", type=float, metavar="µm", help="Shortest machine time with this expected VCE (aligned).")
 @click.option("--grid-deg", type=float, default=15.0, show_default=True, help="Step of azimuth and elevation.")
@@ -113,6 +115,7 @@ def design_command(
                 variants,
                 goal,
                 grid_deg,
+                calibration_of,
                 verify=verify_set,
                 prove=preflight_of,
                 say=lambda what: status.update(f"{what} …"),
@@ -149,7 +152,7 @@ def _rivals(job: Job) -> list[ReferenceSet]:
         vce_um = valuation_of(job, job.positions).after.aligned_um
     except UserError:
         return []
-    return [ReferenceSet(f"{Path(name).name} of the settings", machine_minutes(job, job.positions).total, vce_um)]
+    return [ReferenceSet(f"{Path(name).name} of the settings", run_minutes(job, calibration_of).total, vce_um)]
 
 
 def _as_json(position: Position) -> dict[str, object]:
@@ -177,11 +180,13 @@ def _document(
     choices: list[VariantDesign], best: VariantDesign, rivals: list[ReferenceSet], files: list[Path], seconds: float
 ) -> dict[str, object]:
     found = best.result
+    phases = found.minutes_by_phase.as_json()
     return {
         "machine": found.problem.job.machine.name,
         "artefact": found.problem.job.artefact.name,
         "positions": [_as_json(position) for position in found.positions],
         **_worth(found),
+        "minutes_by_phase": phases,
         "held_out": [_as_json(position) for position in found.held_out],
         "candidates": found.problem.candidates.count,
         "rehearsed": found.preflight_passed,
@@ -218,7 +223,8 @@ def _show(
             "positions",
             f"{len(found.positions)} of {found.problem.candidates.count} within reach, {found.balls} balls",
         ),
-        ("machine time", f"{found.minutes:.1f} min"),
+        ("machine time", f"{found.minutes:.1f} min for the whole run"),
+        ("of which", found.minutes_by_phase.text),
         ("VE expected", f"{volumetric.before.aligned_um:.2f} µm aligned"),
         ("VCE expected", f"{volumetric.after.aligned_um:.2f} µm aligned"),
         ("valuation", f"{volumetric.percent:.1f} % of the volumetric error removed"),

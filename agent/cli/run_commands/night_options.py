@@ -15,7 +15,7 @@ if will_run():
 
     from agent.cli.printing import facts_table, results_console
     from agent.cli.run_commands.local_run import run_here
-    from agent.cli.run_commands.run_summary import show_summary
+    from agent.cli.run_commands.run_summary import show_summary, time_rows
     from agent.results.night_changes import possible_text
     from agent.results.run_outcome import NightReport, Outcome
     from agent.runs.run_request import RunRequest
@@ -69,7 +69,8 @@ def night_table(outcome: Outcome, night: NightReport) -> Table:
     errors = (night.ve_before_um, night.ve_now_um, night.ve_after_um)
     rows = [
         ("last accepted night", f"{night.since}, {night.nights:.1f} nights ago"),
-        ("measured", f"{night.positions} positions at station {night.station}, {outcome.machine_minutes:.1f} min"),
+        ("measured", f"{night.positions} positions at station {night.station}"),
+        *time_rows(outcome),
         ("VE then, now, with a new table", " → ".join(_um(ve) for ve in errors)),
         ("held-out positions", f"{_um(night.held_out_um)}, expected {_um(night.held_out_predicted_um)}"),
         ("against the prediction", "?" if night.chi2_normalised is None else f"χ² {night.chi2_normalised:.2f}"),

@@ -26,19 +26,20 @@ if will_run():
     from agent.cli.step_lists import write_branch_steps
     from agent.errors import PlanRefused
     from agent.files import check_folder
-    from agent.planning.cycle_time import PARTS, expected_plan, minutes_by_part, walk_plan, without_optimisation
+    from agent.planning.cycle_time import PARTS, minutes_by_part, without_optimisation
     from agent.planning.design.set_valuation import valuation_of
     from agent.planning.job import Job
     from agent.planning.job_preparation import prepare_job
     from agent.planning.preflight import PreflightResult
+    from agent.planning.run_minutes import minutes_by_phase, run_minutes
     from agent.probing.run_plan import position_key
     from agent.results.gate_forecast import GateForecast, forecast_gates, require_forecast
     from agent.results.predicted_accuracy import PredictedAccuracy, predict_accuracy
     from agent.runs.kinds.calibrate import calibration_of, preflight_of
+    from agent.runs.last_latencies import last_latencies
     from agent.settings.load import load_settings, naming, with_overrides
     from twin.design.valuation import Valuation
     from twin.identification.hidden_step import HiddenStep
-    from twin.units import S_PER_MIN
 
 
 @click.command("plan")
@@ -79,9 +80,7 @@ def plan_command(
             click.echo(f"preview: {path}", err=True)
         raise
     listed = without_optimisation(job)
-    before_minutes = (
-        sum(timed.seconds for timed in walk_plan(listed, expected_plan(calibration_of(listed)))[1]) / S_PER_MIN
-    )
+    before_minutes = run_minutes(listed, calibration_of).total
     expectation = predict_accuracy(job, preflight.measured)
     valuation = valuation_of(job, job.positions)
     files = draw(None) if draw else []
@@ -125,6 +124,7 @@ def _document(
     files: list[Path],
 ) -> dict[str, object]:
     balls = sum(len(p.balls) for p in preflight.measured.positions)
+    learned = last_latencies(job.settings.state_directory, job.machine.name)
     return {
         "machine": job.machine.name,
         "artefact": job.artefact.name,
@@ -141,6 +141,9 @@ def _document(
         "touches": preflight.measured.touches + preflight.verified.touches,
         "machine_minutes": round(preflight.machine_minutes, 3),
         "machine_minutes_as_listed": round(before_minutes, 3),
+        "machine_minutes_learned": None if learned is None else round(learned.minutes(job, preflight), 3),
+        "latencies_from_run": None if learned is None else learned.run_id,
+        "minutes_by_phase": minutes_by_phase(preflight.steps, job.held_out).as_json(),
         "minutes_by_station": {
             str(station): {part: round(minutes, 3) for part, minutes in parts.items()}
             for station, parts in minutes_by_part(preflight.steps).items()
@@ -177,6 +180,8 @@ def _table(
         ("balls out of reach", str(measured.unreachable_balls)),
         ("touches", str(measured.touches + preflight.verified.touches)),
         ("machine time", f"{preflight.machine_minutes:.1f} min ({before_minutes:.1f} as listed, by plain paths)"),
+        ("of which", minutes_by_phase(preflight.steps, job.held_out).text),
+        *_learned_rows(job, preflight),
         ("rank", f"{expectation.rank} of {expectation.parameters} parameters"),
         ("expected VCE", f"{expectation.vce.aligned_um:.2f} µm aligned"),
         ("valuation", f"{valuation.percent:.1f} % of the volumetric error is expected to be removed"),
@@ -184,6 +189,16 @@ def _table(
         ("preflight took", f"{preflight.wall_seconds:.2f} s for {preflight.commands} steps"),
     ]
     return facts_table(rows, title="preflight passed: no collision, no limit")
+
+
+def _learned_rows(job: Job, preflight: PreflightResult) -> list[tuple[str, str]]:
+    """Return a row with the machine time that the latencies of the machine's last complete run give; none without such
+    a run."""
+    learned = last_latencies(job.settings.state_directory, job.machine.name)
+    if learned is None:
+        return []
+    minutes = learned.minutes(job, preflight)
+    return [("as the last run waited", f"{minutes:.1f} min, with the latencies of run {learned.run_id}")]
 
 
 def _hidden_document(job: Job) -> dict[str, object] | None:

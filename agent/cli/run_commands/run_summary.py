@@ -21,7 +21,7 @@ def _rows(outcome: Outcome) -> list[tuple[str, str]]:
     rows = [
         ("position set", f"{outcome.position_set}, {outcome.formulation}"),
         ("measured", f"{outcome.balls} balls, {outcome.touches} touches"),
-        ("machine time", f"{outcome.machine_minutes:.1f} min (predicted {_number(outcome.predicted_minutes)})"),
+        *time_rows(outcome),
     ]
     if outcome.estimation is not None:
         estimation, estimate = outcome.estimation, outcome.estimation.estimate
@@ -45,5 +45,9 @@ def _rows(outcome: Outcome) -> list[tuple[str, str]]:
     return rows
 
 
-def _number(value: float | None) -> str:
-    return "?" if value is None else f"{value:.2f}"
+def time_rows(outcome: Outcome) -> list[tuple[str, str]]:
+    """Return rows about the machine time of a run: its forecast, what it took, and both by phase."""
+    time = outcome.run_time
+    if time is None:
+        return [("machine time", f"{outcome.machine_minutes:.1f} min")]
+    return [("machine time", time.text), ("of which (forecast)", time.phases_text)]

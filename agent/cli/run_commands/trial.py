@@ -16,6 +16,7 @@ if will_run():
 
     from agent.cli.printing import facts_table, results_console
     from agent.cli.run_commands.local_run import carry_out_here
+    from agent.cli.run_commands.run_summary import time_rows
     from agent.planning.job_preparation import prepare_job
     from agent.results.run_outcome import Outcome
     from agent.results.trial_report import TrialReport
@@ -75,7 +76,8 @@ def _trial_table(outcome: Outcome, trial: TrialReport) -> Table:
         ("radius of ball and tip", f"{trial.radius_mm:.4f} mm, {pretravel_um:.1f} µm smaller than nominal"),
         ("form", f"{trial.form_um:.1f} µm"),
         *((name[0].lower() + name[1:], text) for name, text in trial.checks),
-        ("machine time", f"{outcome.machine_minutes:.1f} min, {outcome.touches} touches"),
+        *time_rows(outcome),
+        ("touches", str(outcome.touches)),
         ("compensation", f"bank {outcome.table_bank}, as before" if outcome.table_bank else "none, as before"),
     ]
     return facts_table(rows, title=f"{outcome.run_id}: {outcome.state.value}")

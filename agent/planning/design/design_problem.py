@@ -10,10 +10,11 @@ from functools import cached_property
 
 import numpy as np
 
-from agent.planning.cycle_time import machine_minutes
 from agent.planning.design.feasibility import FeasibilityCheck
-from agent.planning.job import Job
+from agent.planning.held_out_positions import LazyHeldOut
+from agent.planning.job import HeldOutChoice, Job, KnownHeldOut, Planner
 from agent.planning.planning_options import planning_options
+from agent.planning.run_minutes import PHASES, PREPARATION, RunMinutes, held_out_keys, phase_of, run_minutes, run_steps
 from twin.artefact.position_set import Position
 from twin.design.candidates import CandidatePositions, build_candidates, orientation_grid
 from twin.design.measuring_cost import MeasuringCosts
@@ -21,6 +22,7 @@ from twin.design.procedure import Procedure
 from twin.design.search import ExchangeSearch
 from twin.identification import Options
 from twin.machine.volumetric import evaluation_grid
+from twin.units import S_PER_MIN
 
 _TOOL_STRIDE = 10_000  # each tool is a run of its own, so its stations cost carries of their own
 
@@ -31,13 +33,15 @@ class DesignProblem:
     can be measured.
 
     `jobs` maps the name of each tool to the job with that tool; the tool of the settings is the first. `grid_deg` is
-    the spacing of the candidate orientations of the artefact in degrees. `refused` contains the positions that a
+    the spacing of the candidate orientations of the artefact in degrees. `plan_of` returns the plan of the run for
+    which the positions are chosen; all minutes are those of this plan. `refused` contains the positions that a
     preflight has refused. `feasibility` maps the name of a tool to the feasibility check with that tool; the checks
     remain valid if further positions are refused.
     """
 
     jobs: Mapping[str, Job]
     grid_deg: float
+    plan_of: Planner
     refused: frozenset[Position] = frozenset()
     feasibility: dict[str, FeasibilityCheck] = field(default_factory=dict, repr=False)
 
@@ -94,15 +98,41 @@ class DesignProblem:
         return not self.feasibility_of(position).hit(position)
 
     def prices(self, candidates: CandidatePositions) -> MeasuringCosts:
-        tools = list(self.jobs)
+        """Return the machine minutes of each candidate, and those of the run apart from them."""
+        tools, first = list(self.jobs), self.job
         minutes = np.array([self.feasibility_of(position).minutes(position) for position in candidates.positions])
         codes = [_TOOL_STRIDE * (tools.index(p.tool) if p.tool else 0) + p.station for p in candidates.positions]
-        return MeasuringCosts(
+        carried = first.rules.placement is None and first.rules.change.moves_artefact
+        costs = MeasuringCosts(
             minutes=minutes,
             stations=np.array(codes),
-            carry_minutes=self.job.settings.timing.relocation_minutes,
-            standing_at=self.job.settings.stations.standing_at,
+            carry_minutes=first.settings.timing.relocation_minutes if carried else 0.0,
+            standing_at=first.settings.stations.standing_at,
         )
+        return self._with_rest_of_run(costs, candidates)
+
+    def _with_rest_of_run(self, costs: MeasuringCosts, candidates: CandidatePositions) -> MeasuringCosts:
+        """Return `costs` with the minutes that the run takes apart from the position set: its checks, its held-out
+        positions, and the changes to the stations of both. They are those of a run that measures two candidates."""
+        own = [number for number, position in enumerate(candidates.positions) if position.tool is None]
+        pair = sorted(own, key=lambda number: costs.minutes[number])[:2]
+        if not pair:
+            return costs
+        ((job, positions),) = self.by_tool([candidates.positions[number] for number in pair])
+        keys = held_out_keys(positions)
+        fixed_s, carries, visited = 0.0, 0, set[int]()
+        for timed in run_steps(
+            replace(job, positions=positions, held_out_choice=held_out_of(job, positions)), self.plan_of
+        ):
+            _, *rest = timed.step.key.split("/")
+            if timed.carrying and rest[0].startswith("carry-"):
+                carries += 1
+            elif phase_of(timed.step, frozenset()) == PREPARATION or "/".join(rest[:2]) not in keys:
+                fixed_s += timed.seconds
+                visited.add(int(rest[0].removeprefix("station-")))
+        charged = replace(costs, visited_anyway=frozenset(visited))
+        paid = carries * costs.carry_minutes - (charged.total(pair) - float(costs.minutes[pair].sum()))
+        return replace(charged, fixed_minutes=max(0.0, fixed_s / S_PER_MIN + paid))
 
     def in_order(self, chosen: Sequence[Position]) -> tuple[Position, ...]:
         """Return the positions `chosen` sorted by tool, then by station.
@@ -129,12 +159,24 @@ class DesignProblem:
             if own:
                 yield job, own
 
-    def minutes(self, chosen: Sequence[Position]) -> float:
-        """Return the machine minutes of all positions `chosen`, measured in the given order.
+    def runs(self, chosen: Sequence[Position], held_out: Sequence[Position] = ()) -> Iterator[Job]:
+        """Yield the jobs of the runs that measure the positions `chosen`, one for each tool in use.
 
-        The time is computed by executing the plan of the run on an ideal machine.
+        If `held_out` is empty, the held-out positions are those that the run would have with these settings.
         """
-        return sum(machine_minutes(job, own).total for job, own in self.by_tool(chosen))
+        for job, own in self.by_tool(chosen):
+            yield replace(job, positions=own, held_out_choice=held_out_of(job, own, held_out))
+
+    def minutes(self, chosen: Sequence[Position], held_out: Sequence[Position] = ()) -> float:
+        """Return the machine minutes of the runs that measure the positions `chosen`; the arguments are as for
+        `runs`."""
+        steps = (timed for job in self.runs(chosen, held_out) for timed in run_steps(job, self.plan_of))
+        return sum(timed.seconds for timed in steps) / S_PER_MIN
+
+    def minutes_by_phase(self, chosen: Sequence[Position], held_out: Sequence[Position] = ()) -> RunMinutes:
+        """Return the machine minutes of `minutes` by phase."""
+        each = [run_minutes(job, self.plan_of) for job in self.runs(chosen, held_out)]
+        return RunMinutes({phase: sum(one.by_phase[phase] for one in each) for phase in PHASES})
 
     def _offered(self) -> Iterator[Position]:
         job = self.job
@@ -147,6 +189,14 @@ class DesignProblem:
                 for azimuth, elevation in orientation_grid(self.grid_deg):
                     if Position(station, azimuth, elevation) not in held_out:
                         yield Position(station, azimuth, elevation, tool)
+
+
+def held_out_of(job: Job, positions: Sequence[Position], known: Sequence[Position] = ()) -> HeldOutChoice:
+    """Return the held-out positions of the run of `job` that measures `positions`: those of `known`, sorted by station
+    as a settings file lists them, or those that the run itself would choose."""
+    if known:
+        return KnownHeldOut(tuple(sorted(known, key=lambda position: position.station)))
+    return LazyHeldOut(replace(job, positions=tuple(positions)))
 
 
 def _nearest_first(positions: list[Position]) -> list[Position]:

@@ -7,6 +7,7 @@ the goal best is marked.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,8 +17,8 @@ from agent.files import translated
 from agent.planning.design.design_problem import DesignProblem
 from agent.planning.design.pareto_front import FrontPoint, front_of
 from agent.planning.design.variants import Variant
-from agent.planning.held_out_positions import held_out_positions
-from agent.planning.job import Job, KnownHeldOut
+from agent.planning.job import Job, Planner
+from agent.planning.run_minutes import RunMinutes
 from agent.probing.run_plan import position_key
 from drivers.errors import ConfigurationError, InputError, UserError
 from twin.artefact.position_set import Position
@@ -42,7 +43,8 @@ class DesignResult:
     """Finished design of a position set.
 
     `chosen` contains the indices of the selected positions among the candidates of `problem`. `positions` contains the
-    selected positions in measuring order. `minutes` is the machine time in minutes, computed from the plan of the run.
+    selected positions in measuring order. `minutes` is the machine time in minutes of the whole run, checks and proof
+    included, as `volcal plan` states it for this set.
     `valuation` is the expected volumetric error before and after compensation. `balls` is the number of ball
     measurements. `held_out` contains the positions for verification, if they were requested. `preflight_passed` is True
     if a preflight was carried out and passed.
@@ -56,6 +58,11 @@ class DesignResult:
     balls: int
     held_out: tuple[Position, ...]
     preflight_passed: bool
+
+    @cached_property
+    def minutes_by_phase(self) -> RunMinutes:
+        """Machine minutes of the run by phase."""
+        return self.problem.minutes_by_phase(self.positions, self.held_out)
 
     @cached_property
     def front(self) -> tuple[FrontPoint, ...]:
@@ -87,9 +94,8 @@ def find_design(problem: DesignProblem, goal: Goal, *, verify: bool, prove: Prov
         say("minutes of every candidate")
         search = problem.search
         say("search")
-        chosen = _within(problem, search, goal)
-        held_out = _held_out(problem, candidates, chosen) if verify else ()
-        positions = problem.in_order([candidates.positions[index] for index in chosen])
+        draft = _selected(problem, search, goal, verify=verify)
+        chosen, positions, held_out = draft.chosen, draft.positions, draft.held_out
         if prove is not None:
             say("preflight")
             refused = _refused(problem, positions, held_out, prove)
@@ -100,7 +106,7 @@ def find_design(problem: DesignProblem, goal: Goal, *, verify: bool, prove: Prov
             problem=problem,
             chosen=chosen,
             positions=positions,
-            minutes=problem.minutes(positions),
+            minutes=draft.minutes,
             valuation=Valuation(candidates.vce([]), candidates.vce(chosen)),
             balls=int(sum(candidates.balls[list(chosen)])),
             held_out=held_out,
@@ -112,23 +118,63 @@ def find_design(problem: DesignProblem, goal: Goal, *, verify: bool, prove: Prov
     )
 
 
-def _within(problem: DesignProblem, search: ExchangeSearch, goal: Goal) -> tuple[int, ...]:
-    """Return the indices of a selection whose whole plan fits the goal.
+@dataclass(frozen=True, eq=False)
+class _Draft:
+    """Selected candidates `chosen`, the positions in measuring order, the held-out positions that the design selects,
+    and the minutes of the whole run."""
 
-    The search adds up the minutes of single positions, but a time slot applies to the whole plan. The slot given to
-    the search is therefore reduced until the plan fits.
+    chosen: tuple[int, ...]
+    positions: tuple[Position, ...]
+    held_out: tuple[Position, ...]
+    minutes: float
+
+
+def _selected(problem: DesignProblem, search: ExchangeSearch, goal: Goal, *, verify: bool) -> _Draft:
+    """Return a selection that reaches the goal with the minutes of the whole run.
+
+    The search adds up the minutes of single positions to those that a run takes anyway, but a time slot applies to the
+    whole run. The slot given to the search is therefore corrected until the run fits.
     """
-    asked = goal
+    if not isinstance(goal, TimeSlotGoal):
+        return _drafted(problem, search, goal, verify=verify)
+    draft = _fitting(problem, search, goal, goal.minutes, verify=verify)
+    spare = goal.minutes - draft.minutes
+    if spare <= search.costs.minutes.min():
+        return draft
+    fuller = _fitting(problem, search, goal, goal.minutes + spare, verify=verify)
+    return min(draft, fuller, key=lambda one: search.candidates.vce(one.chosen).aligned_mm)
+
+
+def _fitting(
+    problem: DesignProblem, search: ExchangeSearch, asked: TimeSlotGoal, minutes: float, *, verify: bool
+) -> _Draft:
+    """Return a draft whose run fits the slot `asked`; `minutes` is the slot that is given to the search first."""
+    shortest = math.inf
     while True:
-        with translated(InputError):
-            chosen = goal.select(search)
-        if not isinstance(goal, TimeSlotGoal) or not isinstance(asked, TimeSlotGoal):
-            return chosen
-        positions = problem.in_order([search.candidates.positions[index] for index in chosen])
-        over = problem.minutes(positions) - asked.minutes
+        try:
+            draft = _drafted(problem, search, TimeSlotGoal(minutes), verify=verify)
+        except InputError:
+            if shortest == math.inf:
+                raise
+            raise InputError(
+                f"{asked.minutes:g} min are too short: the shortest run that was found takes {shortest:.1f} min, its "
+                "checks and its proof included",
+                hint="allow a longer slot, or use fewer touches or fewer balls",
+                key="slot",
+            ) from None
+        over = draft.minutes - asked.minutes
         if over <= 0.0:
-            return chosen
-        goal = TimeSlotGoal(goal.minutes - _MARGIN * over - _SLACK_MIN)
+            return draft
+        shortest = min(shortest, draft.minutes)
+        minutes -= _MARGIN * over + _SLACK_MIN
+
+
+def _drafted(problem: DesignProblem, search: ExchangeSearch, goal: Goal, *, verify: bool) -> _Draft:
+    with translated(InputError):
+        chosen = goal.select(search)
+    positions = problem.in_order([search.candidates.positions[index] for index in chosen])
+    held_out = _held_out(problem, search.candidates, chosen) if verify else ()
+    return _Draft(chosen, positions, held_out, problem.minutes(positions, held_out))
 
 
 def _held_out(problem: DesignProblem, candidates: CandidatePositions, chosen: Sequence[int]) -> tuple[Position, ...]:
@@ -144,7 +190,8 @@ def _held_out(problem: DesignProblem, candidates: CandidatePositions, chosen: Se
     count = _ORIENTATIONS if listed is None else len(listed)
     with translated(InputError, key="--verify-set"):
         telling = most_informative_groups(candidates, chosen, whole, count)
-    return tuple(candidates.positions[index] for group in telling for index in group)
+    found = [candidates.positions[index] for group in telling for index in group]
+    return tuple(sorted(found, key=lambda position: position.station))
 
 
 def _refused(
@@ -152,10 +199,9 @@ def _refused(
 ) -> Position | None:
     """Return the position in `positions` at which the preflight refuses the plan, or None if the preflight passes.
     Raises PlanRefused if the preflight refuses a step that belongs to none of them."""
-    for job, own in problem.by_tool(positions):
-        proof = tuple(held_out) or held_out_positions(job, own)
+    for job in problem.runs(positions, held_out):
         try:
-            prove(replace(job, positions=own, held_out_choice=KnownHeldOut(proof)))
+            prove(job)
         except PlanRefused as error:
             step = error.where.get("step", "")
             for position in positions:
@@ -187,10 +233,10 @@ class VariantDesign:
 
 
 def compare_variants(
-    variants: Sequence[Variant], goal: Goal, grid_deg: float, *, verify: bool, prove: Prove, say: Say
+    variants: Sequence[Variant], goal: Goal, grid_deg: float, plan_of: Planner, *, verify: bool, prove: Prove, say: Say
 ) -> list[VariantDesign]:
-    """Return a designed position set for each variant, and mark the best design. `prove` carries out the preflight of
-    a design.
+    """Return a designed position set for each variant, and mark the best design. `plan_of` returns the plan of the run
+    for which the positions are chosen, and `prove` carries out its preflight.
 
     If `goal` is a target error, the best design is the one that takes the least machine time. For any other goal, the
     best design is the one with the smallest expected volumetric error after compensation (VCE). If no variant reaches
@@ -200,7 +246,7 @@ def compare_variants(
     errors: list[UserError] = []
     for variant in variants:
         try:
-            problem = DesignProblem(variant.jobs, grid_deg)
+            problem = DesignProblem(variant.jobs, grid_deg, plan_of)
             found = find_design(problem, goal, verify=verify, prove=None if variant.made_up else prove, say=say)
             choices.append(VariantDesign(variant, found))
         except UserError as error:

@@ -77,4 +77,5 @@ def _job(job: Job, base: Path, tool: str, touches: int, artefact: Artefact) -> J
         return job
     procedure = chosen.model_copy(update={"touches_per_ball": touches})
     own = prepare_job(job.settings.model_copy(update={"procedure": procedure, "tool": tool}), base)
-    return replace(own, artefact=artefact, layout=replace(own.layout, artefact=artefact))
+    preparation = replace(own.preparation, layout=replace(own.preparation.layout, artefact=artefact))
+    return replace(own, artefact=artefact, layout=replace(own.layout, artefact=artefact), preparation=preparation)

@@ -214,6 +214,7 @@ class RunFacts:
 
     touches: int | None = None
     machine_minutes: float | None = None
+    forecast_minutes: float | None = None
     balls: int | None = None
     reason: str = ""
     times: tuple[tuple[str, str], ...] = ()

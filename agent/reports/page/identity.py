@@ -95,7 +95,8 @@ def identity(data: ReportData) -> Rows:
     if run.touches is not None:
         rows.append(("Touches", str(run.touches)))
     if run.machine_minutes is not None:
-        rows.append(("Machine time", f"{fixed(run.machine_minutes, 0)} min"))
+        forecast = "" if run.forecast_minutes is None else f" (forecast {fixed(run.forecast_minutes, 0)} min)"
+        rows.append(("Machine time", f"{fixed(run.machine_minutes, 0)} min{forecast}"))
     rows += run.banks
     rows.append(("Software", f"volcal {data.header.software_version}"))
     return rows

@@ -14,6 +14,7 @@ from fastapi.responses import Response
 
 from agent.planning.job_preparation import prepare_job
 from agent.reports.render_in_subprocess import render_in_subprocess
+from agent.runs.kinds.calibrate import calibration_of
 from agent.runs.kinds.restoration import TableRole, stored_table
 from agent.service.http.app_state import AppStateDependency
 from agent.service.http.problems import DOCUMENTED
@@ -27,9 +28,9 @@ import numpy as np
 
 from agent.execution.encoding import table_digest
 from agent.files import translated
-from agent.planning.cycle_time import machine_minutes
 from agent.planning.job import Job
 from agent.planning.planning_options import planning_options
+from agent.planning.run_minutes import run_minutes
 from agent.results.table_image import table_of
 from drivers.errors import ConfigurationError, InputError
 from drivers.roles import TableImage
@@ -197,9 +198,10 @@ def set_value_document(job: Job) -> Document:
     everything = range(candidates.count)
     worth = Valuation(candidates.vce([]), candidates.vce(everything))
     after_um = worth.after.aligned_um
+    minutes = run_minutes(job, calibration_of)
     return {
         "position_set": job.settings.procedure.position_set.rpartition("/")[2],
-        "minutes": machine_minutes(job, candidates.positions).total,
+        "minutes": minutes.total,
         "balls": int(candidates.balls.sum()),
         "before_um": worth.before.aligned_um,
         "after_um": after_um,

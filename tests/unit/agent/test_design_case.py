@@ -9,7 +9,7 @@ import pytest
 
 from agent.errors import PlanRefused
 from agent.planning.case_file import CASE_STUDY, load_case
-from agent.planning.cycle_time import machine_minutes, without_optimisation
+from agent.planning.cycle_time import machine_minutes, set_alone, without_optimisation
 from agent.planning.design.design_problem import DesignProblem
 from agent.planning.design.design_result import find_design
 from agent.planning.design.feasibility import FeasibilityCheck
@@ -69,7 +69,7 @@ def test_the_criterion_is_the_predicted_vce_of_an_identification_of_the_set(chos
 
 
 def test_the_value_carried_along_through_a_search_is_that_of_the_identification():
-    problem = DesignProblem({case().settings.tool: case()}, 90.0)
+    problem = DesignProblem({case().settings.tool: case()}, 90.0, set_alone)
     offered = of_s1_and_s3()
     chosen = PositionCountGoal(6).select(search_among(problem, offered))
     raw, aligned = predicted(tuple(offered.positions[index] for index in chosen))
@@ -80,7 +80,9 @@ def test_the_value_carried_along_through_a_search_is_that_of_the_identification(
 def test_the_search_finds_the_best_pair_of_real_positions():
     offered = candidates(parse_position_set("S1+S3", 4)[:10])
     job = case()
-    search = replace(search_among(DesignProblem({job.settings.tool: job}, 90.0), offered), min_improvement=0.0)
+    search = replace(
+        search_among(DesignProblem({job.settings.tool: job}, 90.0, set_alone), offered), min_improvement=0.0
+    )
     best = min(combinations(range(offered.count), 2), key=lambda pair: offered.vce(pair).aligned_mm)
     assert set(PositionCountGoal(2).select(search)) == set(best)
 
@@ -138,14 +140,14 @@ def test_a_slot_holds_for_the_plan_as_a_whole_and_carries_cost_time():
     timing = settings.timing.model_copy(update={"relocation_minutes": 4.0})
     job = replace(case(), settings=settings.model_copy(update={"timing": timing}))
     found = find_design(
-        DesignProblem({"probe": job}, 45.0), TimeSlotGoal(22.0), verify=True, prove=None, say=lambda _: None
+        DesignProblem({"probe": job}, 45.0, set_alone), TimeSlotGoal(22.0), verify=True, prove=None, say=lambda _: None
     )
     assert found.minutes == pytest.approx(machine_minutes(job, found.positions).total)
     assert found.minutes <= 22.0
     stations = [position.station for position in found.positions]
     assert stations == sorted(stations)
     free = find_design(
-        DesignProblem({"probe": case()}, 45.0),
+        DesignProblem({"probe": case()}, 45.0, set_alone),
         TimeSlotGoal(22.0),
         verify=False,
         prove=None,
@@ -175,7 +177,7 @@ def test_what_a_preflight_refuses_is_left_out_and_the_search_goes_on():
             raise PlanRefused("preflight: collision", step=f"measure/{position_key(job.positions[1])}/ball-03/approach")
 
     found = find_design(
-        DesignProblem({"probe": case()}, 90.0),
+        DesignProblem({"probe": case()}, 90.0, set_alone),
         PositionCountGoal(3),
         verify=False,
         prove=refusing_once,
@@ -226,7 +228,7 @@ def test_variants_that_cannot_be_are_refused(tmp_path, more, message):
 def test_an_unreachable_goal_is_the_users_error():
     with pytest.raises(InputError, match="shortest two take"):
         find_design(
-            DesignProblem({"probe": case()}, 90.0),
+            DesignProblem({"probe": case()}, 90.0, set_alone),
             TimeSlotGoal(1.0),
             verify=False,
             prove=None,

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from agent.planning.case_file import CASE_STUDY, load_case
+from agent.planning.cycle_time import set_alone
 from agent.planning.design.design_problem import DesignProblem
 from agent.planning.design.set_valuation import valuation_of
 from agent.planning.identifiability import RankRequest, rank
@@ -41,7 +42,7 @@ def test_the_run_and_every_prediction_of_it_use_the_same_number(stated_k: float 
     job = job_with(stated_k)
     run = identification_options(job.settings.identification, job.settings.temperature, None)
     assert run.temperature_standard_uncertainty_k == used_k
-    assert DesignProblem({job.settings.tool: job}, 90.0).options.temperature_standard_uncertainty_k == used_k
+    assert DesignProblem({job.settings.tool: job}, 90.0, set_alone).options.temperature_standard_uncertainty_k == used_k
     predicted = preflight_estimate(job, measured()).unknowns.artefact
     assert predicted.thermometer_standard_uncertainty_k == used_k
 
