@@ -53,9 +53,22 @@ def reported(function: Callable[P, R]) -> Callable[P, R]:
         try:
             return function(*args, **kwargs)
         except VolcalError as error:
-            raise fail(error) from None
+            raise fail(_naming_simulator(error)) from None
 
     return command
+
+
+def _naming_simulator(error: VolcalError) -> VolcalError:
+    """Return `error`, or the error that says how to start the simulated machine of the settings if it is not running.
+
+    The settings are those of the option `--config` of the command.
+    """
+    config = click.get_current_context().params.get("config")
+    if config is None or error.where.get("key") != "clock":
+        return error
+    from agent.cli.absent_simulator import absent_simulator, is_absent_simulator  # noqa: PLC0415  rarely needed
+
+    return absent_simulator(config) if is_absent_simulator(error) else error
 
 
 class VolcalGroup(click.Group):

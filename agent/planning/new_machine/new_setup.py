@@ -13,7 +13,6 @@ from agent.planning.new_machine.station_setup import FULL_ELEVATION_DEG, Station
 MACHINE_FILE = "machine.toml"
 ARTEFACT_FILE = "artefact.toml"
 SETTINGS_FILE = "volcal.toml"
-SCENARIO_FILE = "simulator.toml"
 POSITIONS_FILE = "positions.csv"
 """Names of the files in the directory of a machine. The file of positions exists only if no named set is proposed."""
 

@@ -16,16 +16,13 @@ from agent.planning.new_machine.new_setup import ARTEFACT_FILE, MACHINE_FILE, Ne
 from agent.planning.new_machine.spindle import holder_direction, points_up
 from agent.planning.new_machine.station_setup import StationSetup, outer_stations, station_axis
 from agent.planning.new_machine.toml_text import TomlText
+from agent.settings.simulator_command import SCENARIO_FILE, simulate_command
 
 CONTROLLER_PAGES = {
     MODBUS: "docs/how-to/plc-side-of-the-modbus-link.md",
     SERIAL: "docs/how-to/use-volcal-on-grbl.md",
     LINUXCNC: "docs/how-to/use-volcal-on-linuxcnc.md",
 }
-SIMULATOR_COMMAND = (
-    "volcal simulate --config simulator.toml --modbus 127.0.0.1:{modbus} --can socketcand:127.0.0.1:{can} "
-    "--control 127.0.0.1:{control} --clock lockstep --time 127.0.0.1:{time}"
-)
 AXES_OF_MOUNT = (("azimuth", 1, 180.0), ("elevation", 2, 90.0))
 """Name, proposed CANopen node and limit in degrees of each axis of the mount."""
 
@@ -44,7 +41,7 @@ def settings_text(setup: NewSetup, position_set: str) -> str:
     text.comment(
         "Settings of volcal for this machine, written by `volcal init`. Every command reads this file if it is called "
         "in this directory. Paths are relative to it. All keys: docs/reference/settings.md; check a change with "
-        "`volcal config check volcal.toml`."
+        "`volcal config check`."
     )
     text.key("machine", MACHINE_FILE, "travel, chain, tools and error family")
     text.key("artefact", ARTEFACT_FILE, "ball centres and their uncertainty")
@@ -104,7 +101,10 @@ def scenario_text(machine: MachineSetup, stations: StationSetup) -> str:
 def _add_clock(text: TomlText, controller: ControllerSetup) -> None:
     if not controller.is_simulated:
         return
-    command = SIMULATOR_COMMAND.format(**SIMULATOR_PORTS)
+    at = {name: f"{SIMULATOR_HOST}:{port}" for name, port in SIMULATOR_PORTS.items()}
+    command = simulate_command(
+        SCENARIO_FILE, modbus=at["modbus"], can=f"socketcand:{at['can']}", control=at["control"], time=at["time"]
+    )
     text.section("clock", "`volcal calibrate --simulated` starts the simulator. To start it by hand: " + command)
     text.key("kind", "lockstep", "the agent advances machine time; a real machine has no section [clock]")
     text.key("host", SIMULATOR_HOST)

@@ -16,13 +16,13 @@ from agent.planning.new_machine.new_setup import (
     LAST_EFFORT,
     MACHINE_FILE,
     POSITIONS_FILE,
-    SCENARIO_FILE,
     SETTINGS_FILE,
     NewSetup,
 )
 from agent.planning.new_machine.settings_text import scenario_text, settings_text
 from agent.planning.new_machine.station_setup import positions_of, station_axis
 from agent.settings.load import load_settings
+from agent.settings.simulator_command import SCENARIO_FILE
 from drivers.errors import InputError
 from twin.artefact.position_set import Position
 from twin.design.procedure import MIN_BALLS

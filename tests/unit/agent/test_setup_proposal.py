@@ -25,11 +25,12 @@ from agent.planning.new_machine.controller_setup import ControllerSetup
 from agent.planning.new_machine.error_family import propose_family
 from agent.planning.new_machine.machine_class import MACHINE_CLASSES
 from agent.planning.new_machine.machine_setup import MachineSetup, Triple
-from agent.planning.new_machine.new_setup import ARTEFACT_FILE, SCENARIO_FILE, SETTINGS_FILE, NewSetup
+from agent.planning.new_machine.new_setup import ARTEFACT_FILE, SETTINGS_FILE, NewSetup
 from agent.planning.new_machine.setup_files import checked_files
 from agent.planning.new_machine.spindle import SPINDLES, holder_direction, parse_spindle, points_up, spindle_name
 from agent.planning.new_machine.station_setup import positions_of, propose_mount, propose_stations
 from agent.settings.load import load_settings
+from agent.settings.simulator_command import SCENARIO_FILE
 from simulators.scenario import read_scenario
 from twin.design.procedure import MIN_BALLS
 from twin.errors import DataError
