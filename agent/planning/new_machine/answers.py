@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from agent.files import read_text, translated
 from agent.model_files import load_artefact
 from agent.planning.new_machine import fields
-from agent.planning.new_machine.artefact_setup import LENGTH, ArtefactSetup, Calibration, nominal_artefact, smaller_size
+from agent.planning.new_machine.artefact_setup import (
+    LENGTH,
+    ArtefactSetup,
+    Calibration,
+    nominal_artefact,
+    smaller_artefacts,
+    smaller_size,
+)
 from agent.planning.new_machine.controller_setup import MODBUS, SERIAL, ControllerSetup
 from agent.planning.new_machine.field import Answers
 from agent.planning.new_machine.machine_setup import STATED, MachineSetup
@@ -90,6 +97,21 @@ class SetupAnswers(Answers):
             nominal_artefact(former.shape, size), **kept, calibration=former.calibration, origins=former.origins
         )
         return replace(setup, artefact=artefact, stations=self._stations(setup.machine, artefact))
+
+    def fitting_candidates(self, setup: NewSetup) -> Iterator[NewSetup]:
+        """Yield the set-up with each proposed artefact that is not larger than its own, the largest first, and then
+        with mount and stations as proposed if a person stated something about them."""
+        candidates = smaller_artefacts(setup.artefact.shape, setup.artefact.size_mm)
+        for artefact in candidates:
+            proposed = replace(artefact, calibration=replace(setup.artefact.calibration, length_mm=None))
+            yield replace(
+                setup, artefact=proposed, artefact_files=None, stations=self._stations(setup.machine, proposed)
+            )
+        if any(self.states(field) for field in (fields.MOUNT_AT, fields.SHAFT, fields.TABLE_Z, fields.STATIONS)):
+            for artefact in candidates:
+                yield replace(
+                    setup, artefact=artefact, artefact_files=None, stations=propose_stations(setup.machine, artefact)
+                )
 
     def _reported_limits(self, controller: ControllerSetup) -> AxisLimits | None:
         """Return the travel and dynamics that the controller reports, None if there is no controller to be asked.

@@ -23,7 +23,7 @@ from agent.planning.new_machine.settings_text import scenario_text, settings_tex
 from agent.planning.new_machine.station_setup import positions_of, station_axis
 from agent.settings.load import load_settings
 from agent.settings.simulator_command import SCENARIO_FILE
-from drivers.errors import InputError
+from drivers.errors import ConfigurationError, InputError
 from twin.artefact.position_set import Position
 from twin.design.procedure import MIN_BALLS
 from twin.formats.position_set_file import format_positions
@@ -46,6 +46,12 @@ def checked_files(setup: NewSetup, directory: Path) -> tuple[Mapping[str, str], 
     proposed = positions_of(setup.stations, setup.machine.spindle, is_bar=setup.artefact.is_bar)
     _refuse_stated_place(setup, job, proposed)
     measurable = [position for position in proposed if reached_balls(job, position) >= MIN_BALLS]
+    if not measurable:
+        raise ConfigurationError(
+            "no proposed position has three balls within the travel",
+            key="stations.places_mm",
+            hint="check the stations' places, the mount's shaft and the tool offset",
+        )
     texts = {**_texts(setup, POSITIONS_FILE), POSITIONS_FILE: format_positions(measurable)}
     return texts, _written(texts, directory)
 
