@@ -200,8 +200,8 @@ CONTROLLER_KIND = SetupField(
 )  # fmt: skip
 ADDRESS = SetupField(
     flag="--address", step=CONTROLLER, kind=TEXT, meaning=str,
-    en="Address: HOST[:PORT] of Modbus TCP, or the serial port",
-    de="Adresse: HOST[:PORT] für Modbus TCP oder serielle Schnittstelle",
+    en="Address: host or host:port of Modbus TCP, or the serial port",
+    de="Adresse: Rechner oder Rechner:Port für Modbus TCP, oder serielle Schnittstelle",
     option="HOST[:PORT] of Modbus TCP, or the serial port.",
     question=lambda answers: "HOST or HOST:PORT of its Modbus TCP server"
     if answers[CONTROLLER_KIND] == MODBUS else "Name of its serial port",

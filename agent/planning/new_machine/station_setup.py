@@ -122,6 +122,7 @@ def check_place(machine: MachineSetup, artefact: ArtefactSetup, place_mm: Triple
             f"a mount at {AXES[axis]} = {place_mm[axis]:g} mm is beyond the reach of the stylus, which is {low:g} to "
             f"{high:g} mm there",
             hint="state the place in the workpiece frame: axis position plus tool offset, in mm",
+            axis=AXES[axis],
         )
 
 
