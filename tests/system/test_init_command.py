@@ -44,6 +44,19 @@ def test_a_vertical_mill_is_calibrated_in_simulation_with_two_commands(tmp_path:
     assert result["true_ve_after_um"] < 0.6 * result["true_ve_before_um"]
 
 
+def test_an_artefact_placed_by_hand_is_calibrated_in_simulation_with_two_commands(tmp_path: Path) -> None:
+    made = run(tmp_path, "init", "mine", *MILL, "--placement", "by-hand", "--shape", "tetrahedron", "--json")
+    assert made.returncode == 0, made.stderr
+    assert run(tmp_path / "mine", "config", "check").returncode == 0
+    planned = run(tmp_path / "mine", "plan", "--preview", "picture")
+    assert planned.returncode == 0, planned.stderr
+    ended = run(tmp_path / "mine", "calibrate", "--simulated", "--json")
+    assert ended.returncode == 0, ended.stderr
+    result = json.loads(ended.stdout)
+    assert (result["verified"], result["collisions"]) == (True, 0)
+    assert result["true_ve_after_um"] < 0.6 * result["true_ve_before_um"]
+
+
 def test_a_machine_with_grbl_is_simulated_over_its_serial_line(tmp_path: Path) -> None:
     router = ("--class", "router", "--travel", "600", "400", "200", "--controller", "serial-cnc", "--touches", "5")
     made = run(tmp_path, "init", "mine", *router, "--address", str(tmp_path / "absent"), "--stations", "2", "--json")

@@ -11,15 +11,19 @@ from agent.files import read_text, translated
 from agent.model_files import load_artefact
 from agent.planning.new_machine import fields
 from agent.planning.new_machine.artefact_setup import (
+    BY_HAND,
     LENGTH,
+    ON_MOUNT,
     ArtefactSetup,
     Calibration,
     nominal_artefact,
     smaller_artefacts,
     smaller_size,
 )
+from agent.planning.new_machine.artefact_text import nominal
 from agent.planning.new_machine.controller_setup import MODBUS, SERIAL, ControllerSetup
 from agent.planning.new_machine.field import Answers
+from agent.planning.new_machine.hand_placement import propose_hand_places
 from agent.planning.new_machine.machine_setup import STATED, MachineSetup
 from agent.planning.new_machine.new_setup import ARTEFACT_FILE, NewSetup
 from agent.planning.new_machine.station_setup import StationSetup, check_place, propose_stations
@@ -68,6 +72,12 @@ class SetupAnswers(Answers):
             )
         artefact, files = self._artefact()
         stations = self._stations(machine, artefact)
+        if stations.by_hand:
+            self.refuse_stated(
+                (fields.SHAFT,),
+                "has no meaning for an artefact that is placed by hand",
+                hint=f"omit it, or state {fields.PLACEMENT.flag} {ON_MOUNT}",
+            )
         return NewSetup(
             machine,
             controller,
@@ -107,7 +117,9 @@ class SetupAnswers(Answers):
             yield replace(
                 setup, artefact=proposed, artefact_files=None, stations=self._stations(setup.machine, proposed)
             )
-        if any(self.states(field) for field in (fields.MOUNT_AT, fields.SHAFT, fields.TABLE_Z, fields.STATIONS)):
+        if not setup.stations.by_hand and any(
+            self.states(field) for field in (fields.MOUNT_AT, fields.SHAFT, fields.TABLE_Z, fields.STATIONS)
+        ):
             for artefact in candidates:
                 yield replace(
                     setup, artefact=artefact, artefact_files=None, stations=propose_stations(setup.machine, artefact)
@@ -156,6 +168,15 @@ class SetupAnswers(Answers):
         if self.states(fields.MOUNT_AT):
             with translated(InputError, option=fields.MOUNT_AT.flag):
                 check_place(machine, artefact, self[fields.MOUNT_AT])
+        if self[fields.PLACEMENT] == BY_HAND:
+            return propose_hand_places(
+                machine,
+                artefact,
+                load_artefact(self[fields.ARTEFACT]) if not artefact.shape else nominal(artefact, machine.spindle),
+                count=self.stated(fields.STATIONS),
+                first_mm=self.stated(fields.MOUNT_AT),
+                table_z_mm=self.stated(fields.TABLE_Z),
+            )
         return propose_stations(
             machine,
             artefact,

@@ -11,6 +11,8 @@ from twin.errors import DataError
 
 SHAPES = ("tilted-bar", "straight-bar", "ball-plate", "tetrahedron")
 TILTED_BAR, STRAIGHT_BAR, BALL_PLATE, TETRAHEDRON = SHAPES
+ON_MOUNT, BY_HAND = "mount", "by-hand"
+"""Ways in which an artefact is held in a position."""
 CERTIFICATE, LENGTH, NONE = "certificate", "length", "none"
 
 SIZES_MM = {

@@ -57,7 +57,7 @@ class NewSetup:
         name."""
         if self.position_set is not None:
             return self.position_set
-        suits = self.artefact.is_bar and self.stations.elevation_deg == FULL_ELEVATION_DEG
+        suits = self.artefact.is_bar and not self.stations.by_hand and self.stations.elevation_deg == FULL_ELEVATION_DEG
         return self.effort.named_set if suits else None
 
     @property

@@ -58,7 +58,8 @@ class StationSetup:
     `places_mm` are points of the azimuth axis at the height of the middle of the artefact, workpiece frame.
     `table_z_mm` is the height of the table surface, `shaft_mm` the distance from the azimuth axis to the axis of the
     bar. The pedestal of the mount has the radius `pedestal_radius_mm` and ends `head_mm` above the place.
-    `elevation_deg` is the elevation of the inclined orientations.
+    `elevation_deg` is the elevation of the inclined orientations. If the artefact is placed `by_hand`, there is no
+    mount: its dimensions are 0, and the places are those of the origin of the artefact frame.
     """
 
     places_mm: tuple[Triple, ...]
@@ -68,6 +69,7 @@ class StationSetup:
     head_mm: float
     elevation_deg: float
     origins: Mapping[str, str]
+    by_hand: bool = False
 
 
 def propose_stations(
