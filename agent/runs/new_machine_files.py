@@ -29,7 +29,7 @@ GAIN = "gain"
 GOOD_GAIN = 0.6
 """Relative decrease of the volumetric error at which more measurements are not worth their time."""
 
-KEYS_OF_REACH = ("stations.places_mm", "verification.positions", "procedure.position_set")
+KEYS_OF_REACH = ("stations.places_mm", "verification.positions", "verification.positions_deg", "procedure.position_set")
 """Keys that an error names if too few balls or positions of a proposed set are within reach."""
 
 HELD_OUT = (8, 16)
@@ -118,11 +118,13 @@ def prepare_files(answers: SetupAnswers, scratch: Path) -> NewFiles:
     does. Raises ConfigurationError if the files contradict each other. `scratch` is an empty directory.
     """
     setup = answers.collect()
+    refused: NewSetup | None = None
     while True:
         failed: ConfigurationError | PlanRefused | None
         try:
             files = _prepared(setup, scratch)
             failed = files.refused
+            refused = refused or setup
         except ConfigurationError as error:
             if setup.position_set is not None or error.where.get("key") not in KEYS_OF_REACH:
                 raise
@@ -136,8 +138,8 @@ def prepare_files(answers: SetupAnswers, scratch: Path) -> NewFiles:
     fitting = _largest_fitting(answers, setup, scratch)
     if fitting is not None:
         raise _does_not_fit(setup, fitting, failed) from failed
-    if isinstance(failed, PlanRefused):
-        return files
+    if refused is not None:
+        return _prepared(refused, scratch)
     travel = " × ".join(f"{length:g}" for length in setup.machine.travel_mm)
     raise InputError(
         f"no artefact that is proposed fits a travel of {travel} mm, not even a straight bar of "

@@ -172,7 +172,9 @@ class SetupAnswers(Answers):
             return propose_hand_places(
                 machine,
                 artefact,
-                load_artefact(self[fields.ARTEFACT]) if not artefact.shape else nominal(artefact, machine.spindle),
+                load_artefact(self[fields.ARTEFACT])
+                if not artefact.shape
+                else nominal(replace(artefact, calibration=Calibration()), machine.spindle),
                 count=self.stated(fields.STATIONS),
                 first_mm=self.stated(fields.MOUNT_AT),
                 table_z_mm=self.stated(fields.TABLE_Z),

@@ -34,6 +34,8 @@ TOLERANCE_DEG = 1.5
 """Tolerances of a placement, as in the settings."""
 LEAST_SPACER_MM = 20.0
 SPACER_STEP_MM = 10.0
+LIFT_MM = 10.0
+"""Travel above a ball by which the tip is lifted after it was located."""
 SEARCHED_MM = 10.0
 """Travel across the stylus for the search of a ball beside its place."""
 
@@ -64,7 +66,7 @@ def propose_hand_places(
     below_mm = -min(body.shape.lower[VERTICAL] for body in bodies)
     table = float(math.floor(low - TABLE_BELOW_MM)) if table_z_mm is None else table_z_mm
     base = math.ceil(10.0 * (table + below_mm)) / 10.0 if first_mm is None else first_mm[VERTICAL]
-    room_mm = high - _before_mm(machine, artefact) - base - float(artefact.balls[:, VERTICAL].max())
+    room_mm = high - _before_mm(machine, artefact) - LIFT_MM - base - float(artefact.balls[:, VERTICAL].max())
     if room_mm < 0.0:
         raise InputError(
             f"the artefact is {-room_mm:.0f} mm too high to be touched from above on a table at Z = {table:g} mm",
