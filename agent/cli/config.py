@@ -11,6 +11,8 @@ import click
 
 from agent.cli.errors import VolcalGroup, reported
 from agent.cli.invocation import will_run
+from agent.cli.options import SETTINGS_FILE
+from drivers.errors import ConfigurationError
 
 if will_run():
     from agent.cli.printing import gates_table, results_console
@@ -27,11 +29,18 @@ def config_group() -> None:
 
 
 @config_group.command("check")
-@click.argument("file", type=click.Path(path_type=Path))
+@click.argument("file", type=click.Path(path_type=Path), required=False)
 @reported
-def check(file: Path) -> None:
+def check(file: Path | None) -> None:
     """Read the settings and every file they name, warn of implausible values, and forecast the gates; no device is
-    contacted."""
+    contacted. FILE is volcal.toml of the current directory unless another is named."""
+    if file is None:
+        if not SETTINGS_FILE.exists():
+            raise ConfigurationError(
+                f"this directory has no {SETTINGS_FILE}",
+                hint="name the settings file, or write one with `volcal init`",
+            )
+        file = SETTINGS_FILE
     settings = load_settings(file)
     with naming(file):
         job = prepare_job(settings, file.resolve().parent)

@@ -19,13 +19,14 @@ import sys
 from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from functools import wraps
+from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 import click
 
 from agent.cli.invocation import program_arguments
 from agent.errors import Aborted
-from drivers.errors import VolcalError
+from drivers.errors import ConfigurationError, VolcalError
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -53,9 +54,28 @@ def reported(function: Callable[P, R]) -> Callable[P, R]:
         try:
             return function(*args, **kwargs)
         except VolcalError as error:
-            raise fail(error) from None
+            raise fail(_naming_simulator(error)) from None
 
     return command
+
+
+def _naming_simulator(error: VolcalError) -> VolcalError:
+    """Return `error` or, if it says that the time server of a simulator did not accept the connection, the error that
+    says how to start the simulated machine. The settings are those of the option `--config` of the command."""
+    config: Path | None = click.get_current_context().params.get("config")
+    if config is None or error.where.get("key") != "clock" or not isinstance(error.__cause__, OSError):
+        return error
+    from agent.settings.load import read_settings  # noqa: PLC0415  the help text needs neither
+    from agent.settings.simulator_command import command_of_settings  # noqa: PLC0415
+
+    command = command_of_settings(read_settings(config), config)
+    start = "`volcal simulate --clock lockstep` with its scenario" if command is None else f"`{command}`"
+    return ConfigurationError(
+        f"the simulated machine of {'this directory' if config.resolve().parent == Path.cwd() else 'these settings'} "
+        "is not running",
+        hint=f"start it in another terminal with {start}; `volcal calibrate --simulated` starts one for its own run",
+        file=str(config),
+    )
 
 
 class VolcalGroup(click.Group):

@@ -152,7 +152,9 @@ def _show(files: NewFiles, document: Mapping[str, Any]) -> None:
         ("machine", f"{machine.name}: {machine.kind.name}, {travel} mm"),
         ("kinematics", f"{machine.chain}, spindle {spindle_name(machine.spindle)}"),
         ("artefact", f"{job.artefact.name}: {job.artefact.count} balls"),
-        ("mount", f"{len(stations.places_mm)} stations, shaft {stations.shaft_mm:g} mm"),
+        ("mount", f"{len(stations.places_mm)} stations, shaft {stations.shaft_mm:g} mm")
+        if not stations.by_hand
+        else ("places", f"{len(stations.places_mm)}, at which the artefact is placed by hand"),
         ("position set", f"{procedure.position_set}: {document['positions']} positions"),
         ("touches", f"{procedure.touches_per_ball} per ball"),
     ]

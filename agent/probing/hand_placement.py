@@ -49,6 +49,8 @@ SPHERE_MM = 0.1
 DISTANCE_MM = 0.5
 """Largest deviation of the distance between two balls: ample for the errors of a machine, small between two balls."""
 _MIN_TOUCHES = 3
+COLLINEAR_SHARE = 1e-12
+"""Balls are on one line if their second largest singular value is below this share of the largest."""
 
 
 class PlacementFault(Enum):
@@ -221,13 +223,16 @@ def _locate(key: str, task: PlacementTask) -> Plan[Array | PlacementRefusal]:
 
 def deviation(nominal: Array, found: Array) -> tuple[float, float]:
     """Return the displacement in mm of the mean of the balls, and the rotation in degrees, by which the rigid artefact
-    `nominal` (N, 3) becomes `found` (N, 3)."""
+    `nominal` (N, 3) becomes `found` (N, 3). Balls on one line do not show a rotation about it, which is not counted."""
     shift = found.mean(axis=0) - nominal.mean(axis=0)
     # The rotation R minimises Σ|R a − b|²; from the singular value decomposition of Σ a bᵀ (Kabsch).
-    left, _, right = np.linalg.svd((nominal - nominal.mean(axis=0)).T @ (found - found.mean(axis=0)))
-    sign = np.sign(np.linalg.det(left @ right))
-    rotation = left @ np.diag([1.0, 1.0, sign]) @ right
-    cosine = 0.5 * (float(np.trace(rotation)) - 1.0)
+    left, spread, right = np.linalg.svd((nominal - nominal.mean(axis=0)).T @ (found - found.mean(axis=0)))
+    if spread[1] < COLLINEAR_SHARE * spread[0]:
+        cosine = float(left[:, 0] @ right[0])
+    else:
+        sign = np.sign(np.linalg.det(left @ right))
+        rotation = left @ np.diag([1.0, 1.0, sign]) @ right
+        cosine = 0.5 * (float(np.trace(rotation)) - 1.0)
     return float(np.linalg.norm(shift)), math.degrees(math.acos(min(1.0, max(-1.0, cosine))))
 
 

@@ -13,12 +13,14 @@ from agent.files import write_all_atomically
 from agent.planning.design.set_valuation import valuation_of
 from agent.planning.job import Job
 from agent.planning.new_machine.answers import SetupAnswers
+from agent.planning.new_machine.artefact_setup import SIZES_MM, STRAIGHT_BAR
+from agent.planning.new_machine.fields import SHAPE, SIZE, TRAVEL
 from agent.planning.new_machine.new_setup import LAST_EFFORT, POSITIONS_FILE, SETTINGS_FILE, NewSetup
 from agent.planning.new_machine.setup_files import checked_files
 from agent.results.gate_forecast import GateForecast, forecast_gates
 from agent.results.gates import PROOF
 from agent.runs.kinds.calibrate import calibration_of, preflight_of
-from drivers.errors import ConfigurationError, InputError
+from drivers.errors import ConfigurationError, InputError, VolcalError
 from twin.units import S_PER_MIN
 
 PREVIEW = "preview"
@@ -26,6 +28,9 @@ PREVIEW = "preview"
 GAIN = "gain"
 GOOD_GAIN = 0.6
 """Relative decrease of the volumetric error at which more measurements are not worth their time."""
+
+KEYS_OF_REACH = ("stations.places_mm", "verification.positions", "verification.positions_deg", "procedure.position_set")
+"""Keys that an error names if too few balls or positions of a proposed set are within reach."""
 
 HELD_OUT = (8, 16)
 """Numbers of held-out positions, in ascending order, if the default cannot show the predicted improvement."""
@@ -108,14 +113,68 @@ class NewFiles:
 def prepare_files(answers: SetupAnswers, scratch: Path) -> NewFiles:
     """Return the checked files of the machine that the answers describe.
 
-    The size of a proposed artefact is reduced until the preflight accepts the plan. Raises InputError if an answer is
-    missing or impossible, and ConfigurationError if the files contradict each other. `scratch` is an empty directory.
+    The size of a proposed artefact is reduced until it fits and the preflight accepts the plan. Raises InputError if an
+    answer is missing or impossible, or if a stated artefact does not fit; the error then names the largest one that
+    does. Raises ConfigurationError if the files contradict each other. `scratch` is an empty directory.
     """
     setup = answers.collect()
-    files = _prepared(setup, scratch)
-    while files.refused is not None and (smaller := answers.with_smaller_artefact(files.setup)) is not None:
-        files = _prepared(smaller, scratch)
-    return files
+    refused: NewSetup | None = None
+    while True:
+        failed: ConfigurationError | PlanRefused | None
+        try:
+            files = _prepared(setup, scratch)
+            failed = files.refused
+            refused = refused or setup
+        except ConfigurationError as error:
+            if setup.position_set is not None or error.where.get("key") not in KEYS_OF_REACH:
+                raise
+            failed = error
+        if failed is None:
+            return files
+        smaller = answers.with_smaller_artefact(setup)
+        if smaller is None:
+            break
+        setup = smaller
+    fitting = _largest_fitting(answers, setup, scratch)
+    if fitting is not None:
+        raise _does_not_fit(setup, fitting, failed) from failed
+    if refused is not None:
+        return _prepared(refused, scratch)
+    travel = " × ".join(f"{length:g}" for length in setup.machine.travel_mm)
+    raise InputError(
+        f"no artefact that is proposed fits a travel of {travel} mm, not even a straight bar of "
+        f"{SIZES_MM[STRAIGHT_BAR][0]} mm with three balls: {failed.message}",
+        hint="correct the travel or what is stated of the mount",
+        option=TRAVEL.flag,
+    ) from failed
+
+
+def _largest_fitting(answers: SetupAnswers, setup: NewSetup, scratch: Path) -> NewSetup | None:
+    """Return the set-up with the largest proposed artefact whose plan the preflight accepts, None if there is none."""
+    for candidate in answers.fitting_candidates(setup):
+        try:
+            if _prepared(candidate, scratch).refused is None:
+                return candidate
+        except (ConfigurationError, InputError):
+            continue
+    return None
+
+
+def _does_not_fit(setup: NewSetup, fitting: NewSetup, failed: VolcalError) -> InputError:
+    """Return the error for an artefact that does not fit, with the options of the largest one that does."""
+    artefact, stations = fitting.artefact, fitting.stations
+    options = [SHAPE.flag, artefact.shape, SIZE.flag, f"{artefact.size_mm:g}"]
+    pitch = f", {artefact.size_mm / (artefact.balls - 1):g} mm apart" if artefact.is_bar else ""
+    omitted = "the other options of the artefact"
+    if stations.origins != setup.stations.origins or len(stations.places_mm) != len(setup.stations.places_mm):
+        omitted += " and of the mount"
+    return InputError(
+        f"an artefact of {setup.artefact.size_mm:g} mm with {setup.artefact.balls} balls does not fit this machine: "
+        f"{failed.message}",
+        hint=f"the largest that fits is a {artefact.shape} with {artefact.balls} balls of {artefact.diameter_mm:g} mm"
+        f"{pitch}, at {len(stations.places_mm)} stations: state {shlex.join(options)} and omit {omitted}",
+        option=SIZE.flag,
+    )
 
 
 def refuse_existing(directory: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import socket
 import subprocess
 import sys
@@ -71,6 +72,8 @@ def panel(ready: dict[str, Any], **request: Any) -> dict[str, Any]:
 def fits(page: Page, step: str) -> None:
     """Every size of window and both languages: nothing is cut, overlaps or cannot be read."""
     page.evaluate(MEASURES)
+    assert "`" not in page.inner_text("body"), step
+    assert not re.search(r"--[a-z]", page.inner_text("#step").split("volcal ")[0]), step
     for size in (*SMALL, PANEL):
         page.set_viewport_size(size)
         assert page.evaluate("misplaced()") == [], (step, size)
@@ -146,13 +149,22 @@ def test_all_steps_lead_to_the_files_that_the_command_writes(
         expect(page.locator(".data")).to_contain_text("X")
         go_on(page, "controller")
         expect(page.locator("#help-travel")).to_contain_text("Read from the controller")
+        expect(page.locator("#to-machine")).to_have_attribute("data-done", "true")
+        page.fill("[name=travel-X-highest]", "-500")
+        page.press("[name=travel-X-highest]", "Tab")
+        expect(page.locator("#error-travel")).to_contain_text("X: the lowest position")
+        expect(page.locator("[aria-invalid=true]")).to_have_count(1)
+        expect(page.locator("[name=travel-X-highest]")).to_have_attribute("aria-invalid", "true")
+        page.fill("[name=travel-X-highest]", "")
+        page.press("[name=travel-X-highest]", "Tab")
+        expect(page.locator("[aria-invalid=true]")).to_have_count(0)
         page.fill("[name=feed-Y]", "2500,5")
         go_on(page, "axes")
         check_axes(page, controller)
         go_on(page, "chain")
         page.fill("#field-stylus", "soon")
         page.click("#next")
-        expect(page.locator("#error-stylus")).to_contain_text("'soon' is not a number")
+        expect(page.locator("#error-stylus")).to_have_text("“soon” is not a number.")
         page.fill("#field-stylus", "140")
         page.fill("#field-tip_diameter", "5")
         check_probe(page, controller)
@@ -170,7 +182,8 @@ def test_all_steps_lead_to_the_files_that_the_command_writes(
         expect(page.locator(".data")).to_contain_text("Gewinn der neuen Tabelle")
         fits(page, "review")
         page.click("#write")
-        expect(page.locator("#written")).to_be_visible()
+        expect(page.locator("#written")).to_contain_text("page/mine/preview/plan.html")
+        expect(page.locator("#to-review")).to_have_attribute("data-done", "true")
         page.click("#finish")
         expect(page.locator("#finished")).to_be_visible()
         page.context.close()

@@ -119,6 +119,7 @@ FOUND: dict[str, Callable[[Written, Any], bool]] = {
     "calibration": lambda w, v: w.calibration == v,
     "certified_length": lambda w, v: w.certified is not None and w.certified[0] == v,
     "length_uncertainty": lambda w, v: w.certified is not None and w.certified[1] == v,
+    "placement": lambda w, v: ("placed_by_hand" in w.settings["stations"]) == (v == "by-hand"),
     "mount_at": lambda w, v: (
         w.settings["stations"]["places_mm"][0] == list(v) == w.scenario["stations_mm"][w.scenario["standing_at"] - 1]
     ),
@@ -190,6 +191,7 @@ VALUES: dict[str, st.SearchStrategy[Any]] = {
     "calibration": st.sampled_from(["certificate", "length", "none"]),
     "certified_length": st.floats(80.0, 800.0),
     "length_uncertainty": st.floats(0.1, 5.0),
+    "placement": st.sampled_from(["mount", "by-hand"]),
     "mount_at": st.tuples(st.floats(-300.0, 900.0), st.floats(0.0, 600.0), st.floats(-120.0, 60.0)),
     "shaft": st.floats(0.0, 200.0),
     "table_z": st.floats(-400.0, 50.0),
@@ -247,6 +249,7 @@ GOOD: Options = {
     "calibration": "none",
     "certified_length": 400.0131,
     "length_uncertainty": 0.35,
+    "placement": "by-hand",
     "mount_at": (302.5, 251.25, -30.75),
     "shaft": 82.25,
     "table_z": -210.5,

@@ -44,6 +44,38 @@ def test_a_vertical_mill_is_calibrated_in_simulation_with_two_commands(tmp_path:
     assert result["true_ve_after_um"] < 0.6 * result["true_ve_before_um"]
 
 
+def test_an_artefact_placed_by_hand_is_calibrated_in_simulation_with_two_commands(tmp_path: Path) -> None:
+    made = run(tmp_path, "init", "mine", *MILL, "--placement", "by-hand", "--shape", "tetrahedron", "--json")
+    assert made.returncode == 0, made.stderr
+    assert run(tmp_path / "mine", "config", "check").returncode == 0
+    planned = run(tmp_path / "mine", "plan", "--preview", "picture")
+    assert planned.returncode == 0, planned.stderr
+    ended = run(tmp_path / "mine", "calibrate", "--simulated", "--json")
+    assert ended.returncode == 0, ended.stderr
+    result = json.loads(ended.stdout)
+    assert (result["verified"], result["collisions"]) == (True, 0)
+    assert result["true_ve_after_um"] < 0.6 * result["true_ve_before_um"]
+
+
+def test_a_machine_with_grbl_is_simulated_over_its_serial_line(tmp_path: Path) -> None:
+    router = ("--class", "router", "--travel", "600", "400", "200", "--controller", "serial-cnc", "--touches", "5")
+    made = run(tmp_path, "init", "mine", *router, "--address", str(tmp_path / "absent"), "--stations", "2", "--json")
+    assert made.returncode == 0, made.stderr
+    settings = tmp_path / "mine" / "volcal.toml"
+    settings.write_text(settings.read_text().replace("{ artefact = 20.0", "{ artefact = 27.0"))
+    ended = run(tmp_path / "mine", "calibrate", "--simulated", "--json")
+    assert ended.returncode == 0, ended.stderr
+    result = json.loads(ended.stdout)
+    assert result["verified"] is True
+    assert result["collisions"] == 0
+    # the correction is in part programs, not in the controller, so the simulator does not know the error after it
+    assert result["true_ve_after_um"] is None
+    assert "GRBL on /dev/" in ended.stderr
+    assert "Modbus" not in ended.stderr
+    assert not (tmp_path / "mine" / "banks").exists()
+    assert (tmp_path / "mine" / "runs" / "simulated" / "banks").is_dir()
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

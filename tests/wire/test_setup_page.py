@@ -123,6 +123,45 @@ def test_a_bad_value_is_told_at_its_field(client: Client, name: str, text: str, 
     assert stated(client, **MILL, **({} if name in MILL else {name: ""}))["problems"] == {}
 
 
+@pytest.mark.parametrize(
+    ("name", "text", "boxes"),
+    [
+        ("travel", "0:-500 500 400", {("X-lowest", "order"), ("X-highest", "order")}),
+        ("travel", "800 0:high 400", {("Y-highest", "number")}),
+        (
+            "travel",
+            "800 low:? 4",
+            {("Y-lowest", "number"), ("Y-highest", "empty"), ("Z-lowest", "length"), ("Z-highest", "length")},
+        ),
+        ("rapid", "1000 fast 1000", {("Y", "number")}),
+        ("feed", "1000 1000 -3", {("Z", "positive")}),
+        ("mount_at", "4000 250 -30", {("X", "field_mount_at")}),
+        ("stylus", "-5", {("", "positive")}),
+        ("shaft", "-5", {("", "least")}),
+        ("stations", "40", {("", "between")}),
+        ("stations", "2.5", {("", "whole")}),
+        ("chain", "tool-Z-bed-X-workpiece", set()),
+    ],
+)
+def test_a_problem_names_the_boxes_that_are_wrong(
+    client: Client, name: str, text: str, boxes: set[tuple[str, str]]
+) -> None:
+    problem = stated(client, **{**MILL, name: text})["problems"][name]
+    assert {(box["box"], box["word"]) for box in problem["boxes"]} == boxes
+
+
+def test_every_wrong_field_is_told_at_once(client: Client) -> None:
+    document = stated(client, machine_class="mill", travel="800 abc 400", feed="1000 -3 1000", stations="0")
+    assert set(document["problems"]) == {"travel", "feed", "stations"}
+    assert document["missing"] is None
+
+
+def test_what_is_needed_depends_on_the_controller(client: Client) -> None:
+    assert stated(client)["needed"] == ["machine_class", "travel"]
+    assert stated(client, controller="serial-cnc")["needed"] == ["machine_class", "address", "travel"]
+    assert stated(client, controller="linuxcnc")["needed"] == ["machine_class", "travel"]
+
+
 def test_a_controller_without_its_address_asks_for_it(client: Client) -> None:
     assert stated(client, machine_class="mill", controller="modbus-cnc")["missing"] == "address"
     assert "HOST:PORT" in stated(client, address="plc:x")["problems"]["address"]["detail"]

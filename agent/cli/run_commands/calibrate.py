@@ -17,9 +17,9 @@ if will_run():
     from agent.cli.run_commands.simulated_calibration import calibrate_simulated
     from agent.settings.load import load_settings, naming, with_overrides
     from agent.settings.schema import Settings
+    from agent.settings.simulator_command import SCENARIO_FILE
     from drivers.errors import InputError
 
-SCENARIO_FILE = "simulator.toml"
 """Name of the scenario beside the settings, as `volcal init` writes it."""
 
 

@@ -4,6 +4,7 @@ simulator knows."""
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -35,6 +36,17 @@ LIMITS_OF_DRIVE = {
     "azimuth": {"lower_deg": -180.0, "upper_deg": 180.0},
     "elevation": {"lower_deg": -90.0, "upper_deg": 90.0},
 }
+MODBUS, GRBL = "modbus-cnc", "serial-cnc"
+LINKS = {MODBUS: "modbus", GRBL: "serial"}
+"""Name of the link in the report of the simulator by the driver that uses it."""
+ADDRESSES = ("host", "port", "serial")
+"""Options of these drivers that say where the controller is."""
+DECLARED = "declared_temperatures_c"
+"""Option of GRBL with the temperatures that a person read, because it has no thermometer."""
+WITHOUT_TABLES = (
+    "GRBL stores no table, so the machine itself is unchanged: `volcal gcode correct` corrects part programs. The "
+    "held-out positions show the effect of the table."
+)
 
 
 @dataclass(frozen=True)
@@ -43,7 +55,7 @@ class Truth:
 
     `before_um` and `after_um` are the true volumetric errors before and after the calibration, in µm. The best-fitting
     rigid motion of the workspace has been removed from them. `after_um` and `collisions` are None if the simulator
-    could no longer be reached after the calibration.
+    could no longer be reached after the calibration. `after_um` is also None if the controller stores no tables.
     """
 
     before_um: float
@@ -93,37 +105,45 @@ def calibrate_simulated(
     """
     demonstrated = Demonstrated.of(settings, case)
     bus = None if settings.stations.placed_by_hand else can
-    with SimulatorProcess(scenario, can=bus, log=out / "simulator.log", modbus_rtu=modbus_rtu) as simulator:
+    grbl = _machine_driver(settings) == GRBL
+    log = out / "simulator.log"
+    with SimulatorProcess(scenario, can=bus, log=log, modbus_rtu=modbus_rtu, grbl=grbl) as simulator:
         before = _aligned_um(simulator.ask("truth"), "active")
-        connected = connect(settings, simulator.ready, out)
+        connected = connect(settings, simulator.ready, out, simulator.ask("status")["temperatures_c"])
         click.echo(f"{demonstrated.text}\n{_introduction(simulator.ready)}", err=True)
         with naming(config):
             ended = run_here(calibration_here(), connected, config.resolve().parent)
-        truth = _truth_after(simulator, before)
+        truth = _truth_after(simulator, before, in_controller=not grbl)
     if as_json:
         click.echo(json.dumps({**vars(demonstrated), **_document(ended, truth)}, allow_nan=False))
     else:
         click.echo(demonstrated.text)
         _show(ended, truth)
+        if grbl:
+            click.echo(WITHOUT_TABLES)
     conclude(ended)
 
 
-def connect(settings: Settings, ready: dict[str, Any], out: Path) -> Settings:
+def connect(
+    settings: Settings, ready: dict[str, Any], out: Path, temperatures_c: Mapping[str, float] | None = None
+) -> Settings:
     """Return a copy of `settings` that refers to the running simulator and uses `out` as state directory, in which the
     run stores its journal and results. If the settings are those of a real machine, the simulated devices replace all
-    of its devices.
+    of its devices; a machine with GRBL is reached over a serial line, any other over Modbus.
 
     `ready` is the report by which the simulator announces that it is ready. The report contains the addresses of the
-    simulated devices and of the simulator's clock.
+    simulated devices and of the simulator's clock. `temperatures_c` are the temperatures of the simulated machine; they
+    replace those that a person declared for the real one.
     """
     document = settings.model_dump(mode="json")
     if settings.clock.kind != "lockstep":
-        document |= _simulated_devices(settings, ready)
+        document |= _simulated_devices(settings, ready, out, temperatures_c or {})
     devices = document["devices"]
     roles = document["roles"]
-    machine = devices[roles["machine"]]
-    kept = {name: value for name, value in machine["options"].items() if name not in ("host", "port", "serial")}
-    machine["options"] = kept | ready["modbus"]
+    for device in devices.values():
+        if device["driver"] in LINKS:
+            kept = {name: value for name, value in device["options"].items() if name not in ADDRESSES}
+            device["options"] = kept | ready[LINKS[device["driver"]]]
     for mount in _mounts_in(roles["mount"]):
         devices[mount]["options"] |= ready["can"]
     devices[roles["operator"]]["options"] |= ready["control"]
@@ -133,6 +153,12 @@ def connect(settings: Settings, ready: dict[str, Any], out: Path) -> Settings:
         return validate_document(document, "settings of the demonstration", Settings)
 
 
+def _machine_driver(settings: Settings) -> str:
+    """Return the name of the driver of the controller, "" if the settings have no such device."""
+    device = settings.devices.get(settings.roles.machine)
+    return "" if device is None else device.driver
+
+
 def _mounts_in(role: str | dict[int, str] | None) -> list[str]:
     """Return the names of the mounts in the setting `roles.mount`."""
     if role is None:
@@ -140,13 +166,16 @@ def _mounts_in(role: str | dict[int, str] | None) -> list[str]:
     return [role] if isinstance(role, str) else list(role.values())
 
 
-def _simulated_devices(settings: Settings, ready: dict[str, Any]) -> dict[str, Any]:
+def _simulated_devices(
+    settings: Settings, ready: dict[str, Any], out: Path, temperatures_c: Mapping[str, float]
+) -> dict[str, Any]:
     """Return the sections `devices` and `roles` of a machine whose devices are those of the simulator. Like the real
     machine, it has one mount, one at each station, or none."""
+    grbl = _machine_driver(settings) == GRBL
     several = isinstance(settings.roles.mount, dict)
     mounts = {f"mount-{number}": nodes for number, nodes in ready["can_mounts"].items()}
     devices: dict[str, Any] = {
-        "cnc": {"driver": "modbus-cnc", "options": {}},
+        "cnc": _simulated_grbl(settings, out, temperatures_c) if grbl else {"driver": MODBUS, "options": {}},
         "operator": {"driver": "simulated-operator", "options": {}},
     }
     for name, nodes in mounts.items():
@@ -154,14 +183,27 @@ def _simulated_devices(settings: Settings, ready: dict[str, Any]) -> dict[str, A
         devices[name] = {"driver": "canopen-mount", "options": {"sdo_timeout_s": 1.0, **axes}}
     roles: dict[str, Any] = dict.fromkeys(("machine", "probe", "store", "thermometer"), "cnc")
     roles["operator"] = "operator"
+    if grbl and settings.roles.thermometer != settings.roles.machine:
+        devices["thermometer"] = {"driver": MODBUS, "options": {}}
+        roles["thermometer"] = "thermometer"
     if not settings.stations.placed_by_hand:
         roles["mount"] = {number: f"mount-{number}" for number in ready["can_mounts"]} if several else "mount-1"
     return {"devices": devices, "roles": roles}
 
 
-def _truth_after(simulator: SimulatorProcess, before_um: float) -> Truth:
+def _simulated_grbl(settings: Settings, out: Path, temperatures_c: Mapping[str, float]) -> dict[str, Any]:
+    """Return the section of a simulated controller with GRBL. It has the options of the real one, but its banks are in
+    `out`: a simulated run must not change the tables of the real machine."""
+    options = settings.model_dump(mode="json")["devices"][settings.roles.machine]["options"]
+    declared = {name: temperatures_c.get(name, value) for name, value in options.get(DECLARED, {}).items()}
+    banks = {**options.get("banks", {}), "directory": str(out.resolve() / "banks")}
+    return {"driver": GRBL, "options": {**options, DECLARED: declared, "banks": banks}}
+
+
+def _truth_after(simulator: SimulatorProcess, before_um: float, *, in_controller: bool) -> Truth:
+    """Return the truth after a run. The error after it is known only if the table is `in_controller`."""
     try:
-        after = _aligned_um(simulator.ask("truth"), "active")
+        after = _aligned_um(simulator.ask("truth"), "active") if in_controller else None
         return Truth(before_um, after, int(simulator.ask("collisions")["count"]))
     except LinkError:
         return Truth(before_um, None, None)
@@ -172,11 +214,16 @@ def _aligned_um(truth: dict[str, Any], which: str) -> float:
 
 
 def _introduction(ready: dict[str, Any]) -> str:
-    modbus, can = ready["modbus"], ready["can"]
-    serial = modbus.get("serial")
-    link = f"RTU {serial['port']} {serial['baud']} baud" if serial else f"TCP {modbus['host']}:{modbus['port']}"
+    modbus, can, grbl = ready["modbus"], ready["can"], ready["serial"]
+    rtu = modbus.get("serial")
+    if grbl:
+        link = f"GRBL on {grbl['port']}, {grbl['baud']} baud"
+    elif rtu:
+        link = f"Modbus RTU {rtu['port']} {rtu['baud']} baud"
+    else:
+        link = f"Modbus TCP {modbus['host']}:{modbus['port']}"
     bus = "no mount" if can is None else f"CAN {can['interface']} {can['channel']}{_address(can['options'])}"
-    return f"simulated machine in a process of its own: Modbus {link}, {bus}"
+    return f"simulated machine in a process of its own: {link}, {bus}"
 
 
 def _address(options: dict[str, Any]) -> str:

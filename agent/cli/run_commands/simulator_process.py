@@ -31,8 +31,11 @@ class SimulatorProcess:
     it.
     """
 
-    def __init__(self, scenario: Path, *, can: str | None, log: Path, modbus_rtu: str | None = None) -> None:
-        """`can` is the channel of the CAN bus of the mounts; it is None if there is no mount."""
+    def __init__(
+        self, scenario: Path, *, can: str | None, log: Path, modbus_rtu: str | None = None, grbl: bool = False
+    ) -> None:
+        """`can` is the channel of the CAN bus of the mounts; it is None if there is no mount. With `grbl`, the
+        controller also speaks GRBL on a pseudo-terminal."""
         self._command = [
             sys.executable,
             "-m",
@@ -41,6 +44,7 @@ class SimulatorProcess:
             "--config",
             str(scenario),
             *(("--modbus", "127.0.0.1:0") if modbus_rtu is None else ("--modbus-rtu", modbus_rtu)),
+            *(("--serial", "any") if grbl else ()),
             *(() if can is None else ("--can", can)),
             "--control",
             "127.0.0.1:0",

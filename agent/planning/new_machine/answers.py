@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from agent.files import read_text, translated
 from agent.model_files import load_artefact
 from agent.planning.new_machine import fields
-from agent.planning.new_machine.artefact_setup import LENGTH, ArtefactSetup, Calibration, nominal_artefact, smaller_size
+from agent.planning.new_machine.artefact_setup import (
+    BY_HAND,
+    LENGTH,
+    ON_MOUNT,
+    ArtefactSetup,
+    Calibration,
+    nominal_artefact,
+    smaller_artefacts,
+    smaller_size,
+)
+from agent.planning.new_machine.artefact_text import nominal
 from agent.planning.new_machine.controller_setup import MODBUS, SERIAL, ControllerSetup
 from agent.planning.new_machine.field import Answers
+from agent.planning.new_machine.hand_placement import propose_hand_places
 from agent.planning.new_machine.machine_setup import STATED, MachineSetup
 from agent.planning.new_machine.new_setup import ARTEFACT_FILE, NewSetup
 from agent.planning.new_machine.station_setup import StationSetup, check_place, propose_stations
@@ -61,6 +72,12 @@ class SetupAnswers(Answers):
             )
         artefact, files = self._artefact()
         stations = self._stations(machine, artefact)
+        if stations.by_hand:
+            self.refuse_stated(
+                (fields.SHAFT,),
+                "has no meaning for an artefact that is placed by hand",
+                hint=f"omit it, or state {fields.PLACEMENT.flag} {ON_MOUNT}",
+            )
         return NewSetup(
             machine,
             controller,
@@ -90,6 +107,23 @@ class SetupAnswers(Answers):
             nominal_artefact(former.shape, size), **kept, calibration=former.calibration, origins=former.origins
         )
         return replace(setup, artefact=artefact, stations=self._stations(setup.machine, artefact))
+
+    def fitting_candidates(self, setup: NewSetup) -> Iterator[NewSetup]:
+        """Yield the set-up with each proposed artefact that is not larger than its own, the largest first, and then
+        with mount and stations as proposed if a person stated something about them."""
+        candidates = smaller_artefacts(setup.artefact.shape, setup.artefact.size_mm)
+        for artefact in candidates:
+            proposed = replace(artefact, calibration=replace(setup.artefact.calibration, length_mm=None))
+            yield replace(
+                setup, artefact=proposed, artefact_files=None, stations=self._stations(setup.machine, proposed)
+            )
+        if not setup.stations.by_hand and any(
+            self.states(field) for field in (fields.MOUNT_AT, fields.SHAFT, fields.TABLE_Z, fields.STATIONS)
+        ):
+            for artefact in candidates:
+                yield replace(
+                    setup, artefact=artefact, artefact_files=None, stations=propose_stations(setup.machine, artefact)
+                )
 
     def _reported_limits(self, controller: ControllerSetup) -> AxisLimits | None:
         """Return the travel and dynamics that the controller reports, None if there is no controller to be asked.
@@ -134,6 +168,17 @@ class SetupAnswers(Answers):
         if self.states(fields.MOUNT_AT):
             with translated(InputError, option=fields.MOUNT_AT.flag):
                 check_place(machine, artefact, self[fields.MOUNT_AT])
+        if self[fields.PLACEMENT] == BY_HAND:
+            return propose_hand_places(
+                machine,
+                artefact,
+                load_artefact(self[fields.ARTEFACT])
+                if not artefact.shape
+                else nominal(replace(artefact, calibration=Calibration()), machine.spindle),
+                count=self.stated(fields.STATIONS),
+                first_mm=self.stated(fields.MOUNT_AT),
+                table_z_mm=self.stated(fields.TABLE_Z),
+            )
         return propose_stations(
             machine,
             artefact,

@@ -11,16 +11,21 @@ from twin.errors import DataError
 
 SHAPES = ("tilted-bar", "straight-bar", "ball-plate", "tetrahedron")
 TILTED_BAR, STRAIGHT_BAR, BALL_PLATE, TETRAHEDRON = SHAPES
+ON_MOUNT, BY_HAND = "mount", "by-hand"
+"""Ways in which an artefact is held in a position."""
 CERTIFICATE, LENGTH, NONE = "certificate", "length", "none"
 
 SIZES_MM = {
-    TILTED_BAR: (120, 150, 175, 200, 250, 300, 350, 400, 500, 600, 800, 1000, 1200, 1500),
-    STRAIGHT_BAR: (120, 150, 175, 200, 250, 300, 350, 400, 500, 600, 800, 1000, 1200, 1500),
+    TILTED_BAR: (60, 80, 100, 120, 150, 175, 200, 250, 300, 350, 400, 500, 600, 800, 1000, 1200, 1500),
+    STRAIGHT_BAR: (60, 80, 100, 120, 150, 175, 200, 250, 300, 350, 400, 500, 600, 800, 1000, 1200, 1500),
     BALL_PLATE: (100, 150, 200, 250, 300, 350, 420, 500, 600),
     TETRAHEDRON: (150, 200, 250, 300, 400, 500, 600),
 }
 """Proposed sizes of each shape: length between the end balls, side between the corner balls, edge. The largest one can
-still be carried."""
+still be carried; the smallest bar has room for three balls."""
+LEAST_FIRST_MM = 120
+"""Least size of a bar that is proposed first. A smaller one tells little, so it is proposed only if this does not
+fit."""
 FLAT_SHARE = 0.5
 """Size of the artefact relative to the medium travel, for a machine whose shortest travel allows only flat
 elevations."""
@@ -110,7 +115,8 @@ def propose_size(shape: str, travel_mm: Triple) -> float:
         wanted = min(medium / DIAGONAL, max(shortest - TOUCHED_MM, FLAT_SHARE * medium))
     else:
         wanted = min(medium, max(DIAGONAL * (shortest - TOUCHED_MM), FLAT_SHARE * medium))
-    sizes = SIZES_MM[shape]
+    least = min(LEAST_FIRST_MM, medium) if shape in (TILTED_BAR, STRAIGHT_BAR) else 0.0
+    sizes = [size for size in SIZES_MM[shape] if size >= least] or SIZES_MM[shape]
     return float(max((size for size in sizes if size <= wanted), default=sizes[0]))
 
 
@@ -118,6 +124,13 @@ def smaller_size(artefact: ArtefactSetup) -> float | None:
     """Return the next smaller proposed size of the same shape in mm, or None if there is none."""
     smaller = [size for size in SIZES_MM[artefact.shape] if size < artefact.size_mm]
     return float(max(smaller)) if smaller else None
+
+
+def smaller_artefacts(shape: str, size_mm: float) -> tuple[ArtefactSetup, ...]:
+    """Return the proposed artefacts of a shape that are not larger than `size_mm`, the largest first, and then those of
+    a straight bar, which needs the least room."""
+    shapes = dict.fromkeys((shape or STRAIGHT_BAR, STRAIGHT_BAR))
+    return tuple(nominal_artefact(one, size) for one in shapes for size in reversed(SIZES_MM[one]) if size <= size_mm)
 
 
 def nominal_artefact(shape: str, size_mm: float) -> ArtefactSetup:

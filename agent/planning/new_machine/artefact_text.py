@@ -18,7 +18,9 @@ from agent.planning.new_machine.fields import BALL_DIAMETER, BALLS, HOLDER, SIZE
 from agent.planning.new_machine.machine_setup import PROPOSED
 from agent.planning.new_machine.spindle import BESIDE, holder_direction
 from agent.planning.new_machine.toml_text import TomlText
+from twin.artefact.artefact import Artefact
 from twin.collision.probe_frame import ProbeFrame
+from twin.formats.artefact_file import parse_artefact
 
 NOMINAL = "nominal: type in the certificate before a run on the real machine"
 UNCERTIFIED = "none: nominal centres"
@@ -84,6 +86,11 @@ def artefact_text(artefact: ArtefactSetup, spindle: ProbeFrame) -> str:
     if not artefact.is_bar:
         _add_frame(text, artefact, geometry, spindle)
     return str(text)
+
+
+def nominal(artefact: ArtefactSetup, spindle: ProbeFrame) -> Artefact:
+    """Return the artefact that the artefact file of `artefact_text` describes."""
+    return parse_artefact(artefact_text(artefact, spindle), "nominal artefact")
 
 
 def _name(artefact: ArtefactSetup) -> str:

@@ -11,9 +11,11 @@ from typing import Any
 from agent.planning.new_machine.artefact_geometry import nominal_length_mm
 from agent.planning.new_machine.artefact_setup import (
     BALL_PLATE,
+    BY_HAND,
     CERTIFICATE,
     LENGTH,
     NONE,
+    ON_MOUNT,
     STRAIGHT_BAR,
     TETRAHEDRON,
     TILTED_BAR,
@@ -200,8 +202,8 @@ CONTROLLER_KIND = SetupField(
 )  # fmt: skip
 ADDRESS = SetupField(
     flag="--address", step=CONTROLLER, kind=TEXT, meaning=str,
-    en="Address: HOST[:PORT] of Modbus TCP, or the serial port",
-    de="Adresse: HOST[:PORT] für Modbus TCP oder serielle Schnittstelle",
+    en="Address: host or host:port of Modbus TCP, or the serial port",
+    de="Adresse: Rechner oder Rechner:Port für Modbus TCP, oder serielle Schnittstelle",
     option="HOST[:PORT] of Modbus TCP, or the serial port.",
     question=lambda answers: "HOST or HOST:PORT of its Modbus TCP server"
     if answers[CONTROLLER_KIND] == MODBUS else "Name of its serial port",
@@ -361,6 +363,16 @@ LENGTH_UNCERTAINTY = SetupField(
     proposal=lambda _: "1",
     shown=lambda setup: _of_length(setup.artefact, f"{setup.artefact.calibration.length_uncertainty_um:g}"),
 )  # fmt: skip
+PLACEMENT = SetupField(
+    flag="--placement", step=MOUNT, kind=CHOICE, meaning=str,
+    en="How the artefact is held", de="Wie der Prüfkörper gehalten wird",
+    option="How the artefact is held [default: mount].",
+    words={
+        ON_MOUNT: ("by a rotary mount", "von einer Drehaufnahme"),
+        BY_HAND: ("it is placed by hand on the table", "er wird von Hand auf den Tisch gestellt"),
+    },
+    proposal=lambda _: ON_MOUNT, shown=lambda setup: BY_HAND if setup.stations.by_hand else ON_MOUNT,
+)  # fmt: skip
 MOUNT_AT = SetupField(
     flag="--mount-at", step=MOUNT, kind=TRIPLE, meaning=_triple,
     en="Place of the mount at station 1 in the workpiece frame in mm",
@@ -403,7 +415,7 @@ def _of_length(artefact: ArtefactSetup, text: str) -> str | None:
 SETUP_FIELDS: tuple[SetupField[Any], ...] = (
     NAME, MACHINE_CLASS, CONTROLLER_KIND, ADDRESS, TRAVEL, SPINDLE, CHAIN, STYLUS, TIP_DIAMETER, STEM, PROBE_DIAMETER,
     RAPID, FEED, ACCELERATION, ARTEFACT, SHAPE, SIZE, BALLS, TILT, HOLDER, BALL_DIAMETER, CALIBRATION, CERTIFIED_LENGTH,
-    LENGTH_UNCERTAINTY, MOUNT_AT, SHAFT, TABLE_Z, STATIONS, POSITION_SET, TOUCHES,
+    LENGTH_UNCERTAINTY, PLACEMENT, MOUNT_AT, SHAFT, TABLE_Z, STATIONS, POSITION_SET, TOUCHES,
 )  # fmt: skip
 """All fields in the order of the help text."""
 FIELDS = {field.name: field for field in SETUP_FIELDS}

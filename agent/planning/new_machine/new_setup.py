@@ -13,7 +13,6 @@ from agent.planning.new_machine.station_setup import FULL_ELEVATION_DEG, Station
 MACHINE_FILE = "machine.toml"
 ARTEFACT_FILE = "artefact.toml"
 SETTINGS_FILE = "volcal.toml"
-SCENARIO_FILE = "simulator.toml"
 POSITIONS_FILE = "positions.csv"
 """Names of the files in the directory of a machine. The file of positions exists only if no named set is proposed."""
 
@@ -58,7 +57,7 @@ class NewSetup:
         name."""
         if self.position_set is not None:
             return self.position_set
-        suits = self.artefact.is_bar and self.stations.elevation_deg == FULL_ELEVATION_DEG
+        suits = self.artefact.is_bar and not self.stations.by_hand and self.stations.elevation_deg == FULL_ELEVATION_DEG
         return self.effort.named_set if suits else None
 
     @property

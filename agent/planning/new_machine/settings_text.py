@@ -11,21 +11,24 @@ from agent.planning.new_machine.controller_setup import (
     ControllerSetup,
 )
 from agent.planning.new_machine.fields import PROBE_DIAMETER, STEM, TIP_DIAMETER
+from agent.planning.new_machine.hand_placement import (
+    TOLERANCE_DEG,
+    TOLERANCE_MM,
+    held_out_azimuths,
+    proving_stations,
+)
 from agent.planning.new_machine.machine_setup import PROPOSED, STATED, MachineSetup
 from agent.planning.new_machine.new_setup import ARTEFACT_FILE, MACHINE_FILE, NewSetup
 from agent.planning.new_machine.spindle import holder_direction, points_up
 from agent.planning.new_machine.station_setup import StationSetup, outer_stations, station_axis
 from agent.planning.new_machine.toml_text import TomlText
+from agent.settings.simulator_command import SCENARIO_FILE, simulate_command
 
 CONTROLLER_PAGES = {
     MODBUS: "docs/how-to/plc-side-of-the-modbus-link.md",
     SERIAL: "docs/how-to/use-volcal-on-grbl.md",
     LINUXCNC: "docs/how-to/use-volcal-on-linuxcnc.md",
 }
-SIMULATOR_COMMAND = (
-    "volcal simulate --config simulator.toml --modbus 127.0.0.1:{modbus} --can socketcand:127.0.0.1:{can} "
-    "--control 127.0.0.1:{control} --clock lockstep --time 127.0.0.1:{time}"
-)
 AXES_OF_MOUNT = (("azimuth", 1, 180.0), ("elevation", 2, 90.0))
 """Name, proposed CANopen node and limit in degrees of each axis of the mount."""
 
@@ -44,17 +47,18 @@ def settings_text(setup: NewSetup, position_set: str) -> str:
     text.comment(
         "Settings of volcal for this machine, written by `volcal init`. Every command reads this file if it is called "
         "in this directory. Paths are relative to it. All keys: docs/reference/settings.md; check a change with "
-        "`volcal config check volcal.toml`."
+        "`volcal config check`."
     )
     text.key("machine", MACHINE_FILE, "travel, chain, tools and error family")
     text.key("artefact", ARTEFACT_FILE, "ball centres and their uncertainty")
     text.key("tool", "probe", "tool of the machine file that is used for measuring")
     text.key("state_directory", "runs", "journal, tables and reports")
-    _add_clock(text, controller)
+    _add_clock(text, controller, has_mount=not stations.by_hand)
     _add_controller(text, machine, controller)
-    _add_mount_device(text, controller)
-    _add_operator(text, controller)
-    _add_roles(text)
+    if not stations.by_hand:
+        _add_mount_device(text, controller)
+    _add_operator(text, controller, stations)
+    _add_roles(text, has_mount=not stations.by_hand)
     _add_mount(text, machine, stations)
     _add_probe(text, machine)
     _add_procedure(text, setup, position_set)
@@ -79,6 +83,10 @@ def scenario_text(machine: MachineSetup, stations: StationSetup) -> str:
     text.key("standing_at", 1, "station of mount and artefact at the start")
     text.comment("The same places, mount and probe as in the settings.")
     text.key("stations_mm", [list(place) for place in stations.places_mm])
+    if stations.by_hand:
+        text.section("placed_by_hand", "Errors of the person who places the artefact.")
+        text.key("error_mm", 2.0)
+        text.key("error_deg", 0.5)
     _add_mount(text, machine, stations)
     _add_probe(text, machine)
     text.section("truth")
@@ -101,10 +109,17 @@ def scenario_text(machine: MachineSetup, stations: StationSetup) -> str:
     return str(text)
 
 
-def _add_clock(text: TomlText, controller: ControllerSetup) -> None:
+def _add_clock(text: TomlText, controller: ControllerSetup, *, has_mount: bool) -> None:
     if not controller.is_simulated:
         return
-    command = SIMULATOR_COMMAND.format(**SIMULATOR_PORTS)
+    at = {name: f"{SIMULATOR_HOST}:{port}" for name, port in SIMULATOR_PORTS.items()}
+    command = simulate_command(
+        SCENARIO_FILE,
+        modbus=at["modbus"],
+        can=f"socketcand:{at['can']}" if has_mount else None,
+        control=at["control"],
+        time=at["time"],
+    )
     text.section("clock", "`volcal calibrate --simulated` starts the simulator. To start it by hand: " + command)
     text.key("kind", "lockstep", "the agent advances machine time; a real machine has no section [clock]")
     text.key("host", SIMULATOR_HOST)
@@ -161,8 +176,11 @@ def _add_mount_device(text: TomlText, controller: ControllerSetup) -> None:
         text.key("acceleration_deg_per_s2", 40.0)
 
 
-def _add_operator(text: TomlText, controller: ControllerSetup) -> None:
-    text.section("devices.operator", "Person who carries the artefact from station to station on request.")
+def _add_operator(text: TomlText, controller: ControllerSetup, stations: StationSetup) -> None:
+    task = (
+        "places the artefact in each position" if stations.by_hand else "carries the artefact from station to station"
+    )
+    text.section("devices.operator", f"Person who {task} on request.")
     if controller.is_simulated:
         text.key("driver", "simulated-operator", "on a machine: console-operator")
         text.section("devices.operator.options")
@@ -172,31 +190,57 @@ def _add_operator(text: TomlText, controller: ControllerSetup) -> None:
         text.key("driver", "console-operator", "asked in the terminal in which the command was typed")
 
 
-def _add_roles(text: TomlText) -> None:
+def _add_roles(text: TomlText, *, has_mount: bool) -> None:
     text.section("roles", "Which device does what.")
     for role in ("machine", "probe", "store", "thermometer"):
         text.key(role, "cnc")
-    text.key("mount", "mount")
+    if has_mount:
+        text.key("mount", "mount")
     text.key("operator", "operator")
 
 
 def _add_procedure(text: TomlText, setup: NewSetup, position_set: str) -> None:
     stations = setup.stations
     text.section("stations")
+    if stations.by_hand:
+        text.comment(
+            "The operator is asked to place the artefact in each position: docs/how-to/calibrate-without-a-mount.md. "
+            "Places of the origin of the artefact frame in the workpiece frame (axis position + tool offset), on the "
+            f"table and above it on spacers. {stations.origins['places_mm'].capitalize()}."
+        )
+        text.key("placed_by_hand", True)
+        text.key("placement_tolerance_mm", TOLERANCE_MM, "an artefact that stands farther from its place is refused")
+        text.key("placement_tolerance_deg", TOLERANCE_DEG, "turned further, it is refused too")
+    else:
+        _explain_places(text, setup)
+    text.key("places_mm", [list(place) for place in stations.places_mm])
+    text.section("procedure", "How is measured; `volcal plan` shows balls, minutes and the expected result.")
+    meaning = (
+        "azimuths at each place" if stations.by_hand else "S1 along the axes, S3 along the diagonals of the planes"
+    )
+    text.key("position_set", position_set, f"{meaning}; or a file")
+    text.key("touches_per_ball", setup.touches, "5, 9, 13 or 25: more touches, less noise, more minutes")
+    text.section("verification", "Fresh positions that prove a new table are measured at these stations.")
+    if stations.by_hand:
+        count = setup.held_out_positions
+        text.key("stations", list(proving_stations(setup.machine, stations, count)))
+        azimuths = held_out_azimuths(count)
+        text.key("positions_deg", [[azimuth, 0.0] for azimuth in azimuths], "azimuth, elevation; not in the set")
+        return
+    text.key("stations", list(outer_stations(setup.machine, stations)), "those at the ends of the travel")
+    if setup.held_out_positions is not None:
+        text.key("positions", setup.held_out_positions, "as many as are needed to show the predicted improvement")
+
+
+def _explain_places(text: TomlText, setup: NewSetup) -> None:
+    """Add a comment on the places of the mount."""
+    stations = setup.stations
     text.comment(
         f"Places of the mount along {station_axis(setup.machine)}: the point of its azimuth axis at the height of the "
         "middle of the artefact (vertical spindle: at which the elevation axis meets it), in the workpiece frame (axis "
         "position + tool offset, so of a stylus centre that would stand there). "
         f"{stations.origins['places_mm'].capitalize()}."
     )
-    text.key("places_mm", [list(place) for place in stations.places_mm])
-    text.section("procedure", "How is measured; `volcal plan` shows balls, minutes and the expected result.")
-    text.key("position_set", position_set, "S1 along the axes, S3 along the diagonals of the planes; or a file")
-    text.key("touches_per_ball", setup.touches, "5, 9, 13 or 25: more touches, less noise, more minutes")
-    text.section("verification", "Fresh positions that prove a new table are measured at these stations.")
-    text.key("stations", list(outer_stations(setup.machine, stations)), "those at the ends of the travel")
-    if setup.held_out_positions is not None:
-        text.key("positions", setup.held_out_positions, "as many as are needed to show the predicted improvement")
 
 
 def _add_limits(text: TomlText, machine: MachineSetup, controller: ControllerSetup) -> None:
@@ -222,6 +266,11 @@ def _add_limits(text: TomlText, machine: MachineSetup, controller: ControllerSet
 
 def _add_mount(text: TomlText, machine: MachineSetup, stations: StationSetup) -> None:
     """Add the section `[mount]`."""
+    if stations.by_hand:
+        text.section("mount", "There is no mount; this is the only key.")
+        origin = stations.origins["table_z_mm"]
+        text.key("table_z_mm", stations.table_z_mm, f"height of the table surface, workpiece frame; {origin}")
+        return
     text.section("mount", "Rotary mount of the artefact: dimensions for its pose and for the collision check.")
     text.key("shaft_mm", stations.shaft_mm, "from the azimuth axis to the origin of the artefact frame")
     hanging = points_up(machine.spindle)

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from agent.model_files import load_artefact
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job, reached_balls
 from agent.planning.new_machine.artefact_text import artefact_text
 from agent.planning.new_machine.fields import MOUNT_AT
+from agent.planning.new_machine.hand_placement import hand_positions
 from agent.planning.new_machine.machine_setup import STATED
 from agent.planning.new_machine.machine_text import machine_text
 from agent.planning.new_machine.new_setup import (
@@ -16,14 +18,14 @@ from agent.planning.new_machine.new_setup import (
     LAST_EFFORT,
     MACHINE_FILE,
     POSITIONS_FILE,
-    SCENARIO_FILE,
     SETTINGS_FILE,
     NewSetup,
 )
 from agent.planning.new_machine.settings_text import scenario_text, settings_text
 from agent.planning.new_machine.station_setup import positions_of, station_axis
 from agent.settings.load import load_settings
-from drivers.errors import InputError
+from agent.settings.simulator_command import SCENARIO_FILE
+from drivers.errors import ConfigurationError, InputError
 from twin.artefact.position_set import Position
 from twin.design.procedure import MIN_BALLS
 from twin.formats.position_set_file import format_positions
@@ -38,6 +40,8 @@ def checked_files(setup: NewSetup, directory: Path) -> tuple[Mapping[str, str], 
     ConfigurationError if the files contradict each other, for example because no ball is within reach.
     """
     named = setup.named_set
+    if setup.stations.by_hand and named is None:
+        return _placed_by_hand(setup, directory)
     texts = _texts(setup, named or LAST_EFFORT.named_set)
     job = _written(texts, directory)
     if named is not None:
@@ -46,8 +50,32 @@ def checked_files(setup: NewSetup, directory: Path) -> tuple[Mapping[str, str], 
     proposed = positions_of(setup.stations, setup.machine.spindle, is_bar=setup.artefact.is_bar)
     _refuse_stated_place(setup, job, proposed)
     measurable = [position for position in proposed if reached_balls(job, position) >= MIN_BALLS]
+    if not measurable:
+        raise ConfigurationError(
+            "no proposed position has three balls within the travel",
+            key="stations.places_mm",
+            hint="check the stations' places, the mount's shaft and the tool offset",
+        )
     texts = {**_texts(setup, POSITIONS_FILE), POSITIONS_FILE: format_positions(measurable)}
     return texts, _written(texts, directory)
+
+
+def _placed_by_hand(setup: NewSetup, directory: Path) -> tuple[Mapping[str, str], Job]:
+    """Return the texts and the job of an artefact that is placed by hand, with the positions within reach."""
+    texts = _texts(setup, POSITIONS_FILE)
+    for name in texts.keys() - {MACHINE_FILE, SETTINGS_FILE, SCENARIO_FILE}:
+        (directory / name).write_text(texts[name], encoding="utf-8")
+    positions = hand_positions(setup.machine, setup.stations, load_artefact(directory / ARTEFACT_FILE))
+    if not positions:
+        raise ConfigurationError(
+            "no proposed position has three balls within the travel",
+            key="stations.places_mm",
+            hint="state a smaller artefact, other places or a longer travel",
+        )
+    texts[POSITIONS_FILE] = format_positions(positions)
+    job = _written(texts, directory)
+    _refuse_stated_place(setup, job, positions)
+    return texts, job
 
 
 def _refuse_stated_place(setup: NewSetup, job: Job, positions: Sequence[Position]) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from agent.planning.new_machine.artefact_setup import TOUCHED_MM, ArtefactSetup
 from agent.planning.new_machine.machine_setup import PROPOSED, STATED, MachineSetup, Triple
 from agent.planning.new_machine.spindle import points_up
+from agent.probing.probing_parameters import PLACEMENT_ALLOWANCE_MM
 from twin.artefact.position_set import Position
 from twin.collision.probe_frame import VERTICAL, ProbeFrame
 from twin.errors import DataError
@@ -27,6 +28,8 @@ SHAFT_TOWARDS_SPINDLE = 0.85
 TABLE_BELOW_MM = 20.0
 """Distance of the table from the last point that the stylus or, with a horizontal spindle, the ram reaches."""
 FULL_ELEVATION_DEG = 45.0
+BEFORE_TOUCH_MM = 8.0 + PLACEMENT_ALLOWANCE_MM
+"""Travel in front of the contact with a ball that its first touch needs (`procedure.wide_approach_mm`)."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,8 @@ class StationSetup:
     `places_mm` are points of the azimuth axis at the height of the middle of the artefact, workpiece frame.
     `table_z_mm` is the height of the table surface, `shaft_mm` the distance from the azimuth axis to the axis of the
     bar. The pedestal of the mount has the radius `pedestal_radius_mm` and ends `head_mm` above the place.
-    `elevation_deg` is the elevation of the inclined orientations.
+    `elevation_deg` is the elevation of the inclined orientations. If the artefact is placed `by_hand`, there is no
+    mount: its dimensions are 0, and the places are those of the origin of the artefact frame.
     """
 
     places_mm: tuple[Triple, ...]
@@ -65,6 +69,7 @@ class StationSetup:
     head_mm: float
     elevation_deg: float
     origins: Mapping[str, str]
+    by_hand: bool = False
 
 
 def propose_stations(
@@ -119,6 +124,7 @@ def check_place(machine: MachineSetup, artefact: ArtefactSetup, place_mm: Triple
             f"a mount at {AXES[axis]} = {place_mm[axis]:g} mm is beyond the reach of the stylus, which is {low:g} to "
             f"{high:g} mm there",
             hint="state the place in the workpiece frame: axis position plus tool offset, in mm",
+            axis=AXES[axis],
         )
 
 
@@ -204,10 +210,28 @@ def _middle(
     steepness = _elevation(machine, artefact) / FULL_ELEVATION_DEG if spindle.is_vertical else 1.0
     along = 1.0 - (1.0 - SHAFT_TOWARDS_SPINDLE) * steepness
     place[spindle.axis] += spindle.sign * along * (shaft_mm + (1.0 - 0.5 * steepness) * artefact.depth_mm)
+    place[spindle.axis] += spindle.sign * _touch_shift_mm(machine, artefact)
     if table_z_mm is not None:
         up = -1.0 if points_up(spindle) else 1.0
         place[VERTICAL] = up * max(up * place[VERTICAL], up * table_z_mm + mount.height_mm)
     return float(round(place[0])), float(round(place[1])), float(round(place[2]))
+
+
+def _touch_shift_mm(machine: MachineSetup, artefact: ArtefactSetup) -> float:
+    """Return how far beyond the middle of a short travel the artefact has to stand, seen from the spindle, in mm.
+
+    A touch begins in front of a ball, so it needs travel on the side of the spindle and hardly any on the other. The
+    shift is as long as the outermost balls need at the proposed elevation, and 0 if the travel is long enough or
+    horizontal.
+    """
+    if not machine.spindle.is_vertical:
+        return 0.0
+    half_mm = 0.5 * machine.travel_mm[VERTICAL]
+    inclined = math.sin(math.radians(_elevation(machine, artefact)))
+    before_mm = 0.5 * artefact.diameter_mm + machine.probe["tip_radius_mm"] + BEFORE_TOUCH_MM
+    needed_mm = 0.5 * artefact.size_mm * inclined + before_mm - half_mm
+    free_mm = half_mm - PLACEMENT_ALLOWANCE_MM - 0.5 * artefact.size_mm * inclined
+    return max(0.0, min(needed_mm, max(free_mm, 0.5 * (before_mm - PLACEMENT_ALLOWANCE_MM))))
 
 
 def _table_height(machine: MachineSetup, place_mm: float, mount: MountSize) -> float:

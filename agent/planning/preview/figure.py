@@ -83,6 +83,8 @@ def _draw_space(axes: Axes3D, preview: Preview) -> None:
     path = np.array([point.tip_mm for point in preview.path]).reshape(-1, 3)
     axes.plot(*path.T, color=INK, linewidth=0.4, alpha=0.5, zorder=2)
     for kind, colour, width in _lines(preview):
+        if not len(kind):  # an artefact that is placed by hand has no mount
+            continue
         axes.add_collection3d(Line3DCollection(kind, colors=colour, linewidths=width, alpha=0.75, zorder=3))
     for centres, style in _dots(preview):
         axes.plot(*centres.T, linestyle="none", zorder=5, **style)

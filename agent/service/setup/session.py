@@ -12,13 +12,14 @@ from typing import Any
 
 from agent.files import translated, write_all_atomically
 from agent.planning.new_machine.answers import SetupAnswers
-from agent.planning.new_machine.controller_setup import SIMULATED, ControllerSetup
+from agent.planning.new_machine.controller_setup import MODBUS, SERIAL, SIMULATED, ControllerSetup
 from agent.planning.new_machine.field import ProposalsOnly
-from agent.planning.new_machine.fields import ADDRESS, CONTROLLER_KIND, FIELDS
+from agent.planning.new_machine.fields import ADDRESS, CONTROLLER_KIND, FIELDS, MACHINE_CLASS, TRAVEL
 from agent.planning.new_machine.new_setup import NewSetup
 from agent.planning.new_machine.spindle import spindle_name
 from agent.runs.new_machine_files import PREVIEW, NewFiles, prepare_files, refuse_existing
 from agent.service.setup.axis_check import Direction, Finding, JogObservation, Part, ProbeFinding
+from agent.service.setup.box_problems import BoxProblem, box_problems
 from agent.service.setup.controller_watch import ControllerWatch
 from drivers.errors import InputError, VolcalError
 from drivers.roles import AxisLimits
@@ -86,6 +87,7 @@ class SetupSession:
                 "answers": self._texts,
                 "problems": problems,
                 "missing": missing,
+                "needed": self._needed(),
                 "proposals": {} if setup is None else _proposals(setup),
                 "reading": _reading(self.watch.limits),
                 "connected": self.watch.connected,
@@ -103,8 +105,11 @@ class SetupSession:
         for name, text in self._texts.items():
             try:
                 FIELDS[name].refuse_malformed(text)
+                with translated(InputError):
+                    if box_problems(FIELDS[name], text):
+                        FIELDS[name].meaning(text)
             except InputError as error:
-                problems[name] = _problem(error)
+                problems[name] = _problem(error, name, text)
         good = {name: text for name, text in self._texts.items() if name not in problems}
         try:
             return self._answers(good).collect(), problems, None
@@ -112,7 +117,16 @@ class SetupSession:
             name = _field_of(error)
             if name not in good and MISSING in error.message:
                 return None, problems, None if name in problems else name
-            return None, {name: _problem(error), **problems}, None
+            return None, {name: _problem(error, name, good.get(name, "")), **problems}, None
+
+    def _needed(self) -> list[str]:
+        """Return the names of the fields without which nothing can be proposed. All others are optional."""
+        has_address = self._texts.get(CONTROLLER_KIND.name) in (MODBUS, SERIAL)
+        return [
+            MACHINE_CLASS.name,
+            *((ADDRESS.name,) if has_address else ()),
+            *((TRAVEL.name,) if self.watch.limits is None else ()),
+        ]
 
     def _answers(self, texts: Mapping[str, str]) -> SetupAnswers:
         return SetupAnswers(texts, ProposalsOnly(), self.directory, read_limits=self.watch.limits_of)
@@ -225,13 +239,12 @@ class SetupSession:
             if not self._force and self.written is None:
                 refuse_existing(self.directory)
             pictures = {name: (Path(review["preview_directory"]) / name).read_bytes() for name in review["preview"]}
-            paths = files.write(self.directory)
+            files.write(self.directory)
             write_all_atomically(self.directory / PREVIEW, pictures)
             self.written_files = files
             self.written = {
                 **files.document(self.directory),
                 "preview": [str(self.directory / PREVIEW / name) for name in pictures],
-                "files": [str(path) for path in paths],
             }
             return self.document()
 
@@ -254,8 +267,12 @@ def _field_of(error: VolcalError) -> str:
     return BY_FLAG.get(option) or (key if key in FIELDS else "")
 
 
-def _problem(error: VolcalError) -> Document:
-    return {"detail": error.message, "hint": error.hint}
+def _problem(error: VolcalError, name: str, text: str) -> Document:
+    """Return the problem of a field with this text; its boxes are those that alone are wrong."""
+    boxes = box_problems(FIELDS[name], text) if name in FIELDS else []
+    if not boxes and "axis" in error.where:
+        boxes = [BoxProblem(error.where["axis"], f"field_{name}")]
+    return {"detail": error.message, "hint": error.hint, "boxes": [box.as_json() for box in boxes]}
 
 
 def _reading(limits: AxisLimits | None) -> Document | None:

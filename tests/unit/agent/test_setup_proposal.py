@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from agent.planning.job_preparation import reached_balls
+from agent.planning.new_machine.answers import SetupAnswers
 from agent.planning.new_machine.artefact_geometry import nominal_length_mm, reference_pair
 from agent.planning.new_machine.artefact_setup import (
     SHAPES,
@@ -23,13 +24,17 @@ from agent.planning.new_machine.artefact_setup import (
 )
 from agent.planning.new_machine.controller_setup import ControllerSetup
 from agent.planning.new_machine.error_family import propose_family
+from agent.planning.new_machine.field import ProposalsOnly
 from agent.planning.new_machine.machine_class import MACHINE_CLASSES
 from agent.planning.new_machine.machine_setup import MachineSetup, Triple
-from agent.planning.new_machine.new_setup import ARTEFACT_FILE, SCENARIO_FILE, SETTINGS_FILE, NewSetup
+from agent.planning.new_machine.new_setup import ARTEFACT_FILE, SETTINGS_FILE, NewSetup
 from agent.planning.new_machine.setup_files import checked_files
 from agent.planning.new_machine.spindle import SPINDLES, holder_direction, parse_spindle, points_up, spindle_name
 from agent.planning.new_machine.station_setup import positions_of, propose_mount, propose_stations
+from agent.runs.kinds.calibrate import preflight_of
 from agent.settings.load import load_settings
+from agent.settings.simulator_command import SCENARIO_FILE
+from drivers.errors import InputError
 from simulators.scenario import read_scenario
 from twin.design.procedure import MIN_BALLS
 from twin.errors import DataError
@@ -224,3 +229,41 @@ def test_an_address_that_does_not_belong_to_the_controller_is_refused(
 ) -> None:
     with pytest.raises(DataError, match=words):
         ControllerSetup.of(kind, address)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_an_artefact_placed_by_hand_has_a_complete_set_up(tmp_path: Path, shape: str) -> None:
+    options = {"machine_class": "mill", "travel": "800 500 400", "placement": "by-hand", "shape": shape}
+    found = SetupAnswers(options, ProposalsOnly(), tmp_path / "mine").collect()
+    texts, job = checked_files(found, tmp_path)
+    settings = tomllib.loads(texts[SETTINGS_FILE])
+    assert settings["stations"]["placed_by_hand"] is True
+    assert "mount" not in settings["devices"]
+    assert set(settings["mount"]) == {"table_z_mm"}
+    assert "--can" not in texts[SETTINGS_FILE]
+    scenario = read_scenario(tmp_path / SCENARIO_FILE)
+    assert scenario.mount_count == 0
+    heights = {place[2] for place in settings["stations"]["places_mm"]}
+    assert len(heights) == 2
+    assert min(heights) >= settings["mount"]["table_z_mm"]
+    assert {position.station for position in job.positions} == {1, 2, 3, 4}
+    assert len(job.held_out) == 6
+    assert preflight_of(job).machine_seconds > 0.0
+
+
+@pytest.mark.parametrize(
+    ("stated", "option", "words"),
+    [
+        ({"spindle": "+Z"}, "--placement", "a stylus that points down"),
+        ({"spindle": "+Y"}, "--placement", "a stylus that points down"),
+        ({"shaft": "80"}, "--shaft", "placed by hand"),
+        ({"table_z": "200"}, "--size", "too high"),
+    ],
+)
+def test_what_cannot_be_placed_by_hand_is_refused(
+    tmp_path: Path, stated: dict[str, str], option: str, words: str
+) -> None:
+    options = {"machine_class": "mill", "travel": "800 500 400", "placement": "by-hand", **stated}
+    with pytest.raises(InputError, match=words) as refused:
+        SetupAnswers(options, ProposalsOnly(), tmp_path / "mine").collect()
+    assert refused.value.where["option"] == option

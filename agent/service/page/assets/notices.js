@@ -11,18 +11,19 @@ export function showDone(key) {
   timer = setTimeout(hide, SHOWN_MS);
 }
 
-export function showProblem(error) {
+/* Shows a refusal; `nodes` makes the elements of its text. */
+export function showProblem(error, nodes = (text) => [text]) {
   if (!(error instanceof Refused)) throw error;
   const { status, detail, hint } = error.problem;
   const own = `problem.${status}`;
-  return show("problem", known(own) ? say(own) : detail, known(own) && status !== 409 ? hint ?? "" : [detail, hint].filter(Boolean).join(" – "));
+  return show("problem", known(own) ? say(own) : detail, known(own) && status !== 409 ? hint ?? "" : [detail, hint].filter(Boolean).join(" – "), nodes);
 }
 
 export const hide = () => byId("said").replaceChildren();
 
-function show(look, title, text) {
+function show(look, title, text, nodes = (whole) => [whole]) {
   clearTimeout(timer);
   const said = byId("said");
   said.dataset.look = look;
-  said.replaceChildren(make("b", {}, title), text);
+  said.replaceChildren(make("b", {}, ...nodes(title)), ...nodes(text));
 }

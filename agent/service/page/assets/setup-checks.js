@@ -5,6 +5,7 @@ import { table } from "./parts.js";
 import { drawChain } from "./setup-drawing.js";
 import { shown } from "./setup-fields.js";
 import { change, poll, seen, send } from "./setup-state.js";
+import { prose } from "./setup-words.js";
 
 const AXES = ["X", "Y", "Z"];
 let jogged = "", touched = false;
@@ -53,7 +54,7 @@ export function jogPanel(redraw) {
     const rows = AXES.map((axis) => result(axes[axis] ? (axes[axis].finding === "good" ? "good" : "wrong") : "", `${axis}: ${axes[axis] ? findingText(axis, axes[axis]) : say("jog.unchecked")}`));
     const press = (axis) => make("button", { id: `jog-${axis}`, ariaPressed: String(jogged === axis), onclick: () => begin(axis, live, redraw) }, say("jog.begin", { axis }));
     box.replaceChildren(make("h2", {}, say("jog.title")), ...rows,
-      ...(connected ? [make("div", { className: "acts" }, ...AXES.map(press)), live] : [make("p", { className: "remark" }, say("jog.offline"))]));
+      ...(connected ? [make("div", { className: "acts" }, ...AXES.map(press)), live] : [make("p", { className: "remark" }, ...prose(say("jog.offline")))]));
   };
   return { element: box, update };
 }

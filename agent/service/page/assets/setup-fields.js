@@ -1,9 +1,12 @@
 /* Fields of a step. A value is sent when it is left; what it means and what is wrong comes from the service. */
 import { make } from "./dom.js";
 import { known, say } from "./language.js";
+import { inPageWords, prose } from "./setup-words.js";
 import { change, seen } from "./setup-state.js";
 
 const AXES = ["X", "Y", "Z"];
+/* Fields whose problem is told by what the service found in a file. */
+const DETAILED = new Set(["artefact", "position_set"]);
 const NUMERIC = new Set(["number", "integer", "triple", "travels"]);
 
 /* Returns the element of a field and a function that shows what the service says about it. */
@@ -23,20 +26,44 @@ export function fieldOf(field) {
     propose(seen.now.proposals[field.name] ?? "");
     const read = field.name in READINGS ? reading(field.name) : "";
     help.textContent = read ? say("setup.read_value", { value: read }) : "";
-    for (const input of inputs) input.setAttribute("aria-invalid", String(Boolean(problem) || missing));
-    error.replaceChildren(...(problem ? [say(`expected.${field.kind}`), make("small", {}, [problem.detail, problem.hint].filter(Boolean).join(". "))]
-      : missing ? [say("setup.needed")] : []));
+    const boxes = wrongBoxes(problem, inputs, needed);
+    const whole = missing || Boolean(problem && !problem.boxes.length);
+    for (const input of inputs) input.setAttribute("aria-invalid", String(whole ? !(missing && input.value) : boxes.some(({ input: wrong }) => wrong === input)));
+    error.replaceChildren(...(missing ? [say("setup.needed")] : whole ? inWords(field, problem) : [...new Set(boxes.map(textOf))].map((text) => make("span", { className: "line" }, text))));
+    const optional = element.querySelector(".optional");
+    if (optional) optional.hidden = seen.now.needed.includes(field.name);
   };
   return { element, update, name: field.name };
 }
 
-const labelOf = (field) => say(`field.${field.name}`);
+/* The boxes that alone are wrong. Of the two ends of a travel, what a person left empty is not called wrong; what is
+   empty beside something stated is named once the step is left. */
+function wrongBoxes(problem, inputs, needed) {
+  const found = (problem?.boxes ?? []).map((box) => ({ ...box, input: inputs.find(({ name }) => name.endsWith(`-${box.box}`)) ?? inputs[0] }));
+  return found.filter(({ word, input }) => (word === "empty" ? needed : !(["order", "length"].includes(word) && input.value === "")));
+}
+
+function textOf({ box, word, values }) {
+  const [axis, end] = box.split("-");
+  const text = say(`wrong.${word}`, values);
+  if (!axis) return text;
+  return `${axis}${end && !["order", "length"].includes(word) ? ` ${say(`setup.${end}`)}` : ""}: ${text}`;
+}
+
+function inWords(field, problem) {
+  if (field.step === "artefact" && field.name !== "artefact" && seen.now.answers.artefact) return [say("wrong.beside_file")];
+  const own = `wrong.field_${field.name}`;
+  const text = known(own) ? say(own) : say(`expected.${field.kind}`);
+  return DETAILED.has(field.name) ? [text, make("small", {}, ...prose(inPageWords([problem.detail, problem.hint].filter(Boolean).join(". "))))] : [text];
+}
+
+const labelOf = (field) => [say(`field.${field.name}`), " ", make("span", { className: "optional" }, say("setup.optional"))];
 const clean = (field, text) => (NUMERIC.has(field.kind) ? text.trim().replaceAll(",", ".") : text.trim());
 
 function textField(field) {
   const input = make("input", { id: `field-${field.name}`, name: field.name, autocomplete: "off", value: seen.now.answers[field.name] ?? "" });
   if (NUMERIC.has(field.kind)) input.inputMode = "decimal";
-  const element = make("div", { className: "field" }, make("label", { htmlFor: input.id }, labelOf(field)), input);
+  const element = make("div", { className: "field" }, make("label", { htmlFor: input.id }, ...labelOf(field)), input);
   element.valueNow = () => clean(field, input.value);
   return { element, inputs: [input], propose: (text) => (input.placeholder = text) };
 }
@@ -47,9 +74,10 @@ function choiceField(field) {
     ...field.choices.map((choice) => make("option", { value: choice }, wordOf(field, choice))));
   select.value = seen.now.answers[field.name] ?? "";
   const wide = field.name === "machine_class" ? "wide" : "";
-  const element = make("div", { className: `field ${wide}` }, make("label", { htmlFor: select.id }, labelOf(field)), select);
+  const element = make("div", { className: `field ${wide}` }, make("label", { htmlFor: select.id }, ...labelOf(field)), select);
   element.valueNow = () => select.value;
-  const propose = (value) => (none.textContent = value ? say("setup.proposed", { value: wordOf(field, value) }) : say("setup.choose"));
+  const propose = (value) => (none.textContent = value ? say("setup.proposed", { value: wordOf(field, value) })
+    : say(seen.now.needed.includes(field.name) ? "setup.choose" : "setup.as_proposed"));
   return { element, inputs: [select], propose };
 }
 
@@ -61,7 +89,7 @@ function wordOf(field, choice) {
 function tripleField(field) {
   const stated = (seen.now.answers[field.name] ?? "").split(" ");
   const inputs = AXES.map((axis, i) => make("input", { name: `${field.name}-${axis}`, inputMode: "decimal", autocomplete: "off", value: stated[i] ?? "" }));
-  const element = make("fieldset", { className: "field" }, make("legend", {}, labelOf(field)),
+  const element = make("fieldset", { className: "field" }, make("legend", {}, ...labelOf(field)),
     make("div", { className: "axes" }, ...AXES.map((axis, i) => make("label", {}, axis, inputs[i]))));
   element.valueNow = () => combined(inputs.map((input) => clean(field, input.value)), inputs.map((input) => input.placeholder));
   const propose = (text) => text.split(" ").forEach((part, i) => i < inputs.length && (inputs[i].placeholder = part));
@@ -78,7 +106,7 @@ function travelsField(field) {
   const stated = (seen.now.answers[field.name] ?? "").split(" ").map(endsOf);
   const ends = AXES.map((axis, i) => ["lowest", "highest"].map((end, k) => make("input", {
     name: `${field.name}-${axis}-${end}`, inputMode: "decimal", autocomplete: "off", ariaLabel: `${axis} ${say(`setup.${end}`)}`, value: stated[i]?.[k] ?? "" })));
-  const element = make("fieldset", { className: "field wide" }, make("legend", {}, labelOf(field)),
+  const element = make("fieldset", { className: "field wide" }, make("legend", {}, ...labelOf(field)),
     make("div", { className: "ends" }, make("span"), make("span", { className: "column" }, say("setup.lowest")), make("span", { className: "column" }, say("setup.highest")),
       ...AXES.flatMap((axis, i) => [make("b", {}, axis), ...ends[i]])));
   element.valueNow = () => travelText(field, ends);

@@ -4,6 +4,7 @@ import { known, number, say } from "./language.js";
 import { facts, table } from "./parts.js";
 import { findingText, unchecked, wrongAxes } from "./setup-checks.js";
 import { change, seen, send } from "./setup-state.js";
+import { inPageWords, prose } from "./setup-words.js";
 
 export function reviewPanel() {
   const box = make("div", { className: "content-parts" });
@@ -35,12 +36,13 @@ function reviewParts(review, written) {
     open.length ? make("div", { className: "panel" }, make("h2", {}, say("review.open")), make("ul", {}, ...open.map((text) => make("li", {}, text)))) : null,
     written ? null : make("div", { className: "acts" }, make("button", { id: "write", className: "big go", onclick: () => change("write") }, say("review.write"))),
     make("h2", {}, say("review.plan")),
-    review.refused ? make("div", { className: "panel problem" }, make("b", {}, say("review.refused")), make("p", {}, review.refused)) : null,
+    review.refused ? make("div", { className: "panel problem" }, make("b", {}, say("review.refused")), make("p", {}, ...prose(inPageWords(review.refused)))) : null,
     facts(pairs),
     ...review.preview.filter((name) => name.endsWith(".png")).map((name) => make("img", { className: "picture", src: `/api/setup/preview/${name}?${encodeURIComponent(review.preview_directory)}`, alt: say("review.picture") })),
     make("h2", {}, say("review.gates")), gates(review.gates),
     make("h2", {}, say("review.files")),
-    make("div", { className: "files" }, ...Object.entries(review.texts).map(([name, text]) => make("details", {}, make("summary", {}, name), make("pre", { tabIndex: 0 }, make("code", {}, text))))),
+    make("div", { className: "files" }, ...Object.entries(review.texts).map(([name, text]) => make("details", {}, make("summary", {}, name), make("pre", { tabIndex: 0 }, make("code", {}, text)))),
+      ...review.preview.map((name) => make("p", { className: "drawn" }, make("code", {}, `preview/${name}`)))),
     make("h2", {}, say("review.next")), commands(review.next),
   ].filter(Boolean);
 }
@@ -52,13 +54,13 @@ function gates(list) {
   return table(heads, list.map(({ gate, expected, comparison, limit, passes, key }) => [
     known(`gate.${named(gate)}`) ? say(`gate.${named(gate)}`) : gate, expected === null ? "∞" : number(expected, 3), `${comparison} ${number(limit, 3)}`,
     passes ? make("span", { className: "passes" }, `✓ ${say("review.passes")}`)
-      : make("span", {}, make("span", { className: "fails" }, `✕ ${say("review.fails")}`), " ", say(`remedy.${named(gate)}`)),
+      : make("span", {}, make("span", { className: "fails" }, `✕ ${say("review.fails")}`), " ", ...prose(say(`remedy.${named(gate)}`))),
     make("code", {}, key)]));
 }
 
 const commands = (next) => make("pre", { className: "commands", tabIndex: 0 }, make("code", {}, next.join("\n")));
 
-function writtenPart({ files, next }) {
+function writtenPart({ files, preview, next }) {
   const end = async () => {
     if (await send("finish")) {
       seen.finished = true;
@@ -67,6 +69,6 @@ function writtenPart({ files, next }) {
     }
   };
   return make("div", { className: "panel", id: "written" }, make("p", { className: "result live", "data-look": "good" }, say("review.written")),
-    make("ul", {}, ...files.map((file) => make("li", {}, make("code", {}, file)))), make("b", {}, say("review.next")), commands(next),
+    make("ul", {}, ...[...files, ...preview].map((file) => make("li", {}, make("code", {}, file)))), make("b", {}, say("review.next")), commands(next),
     make("div", { className: "acts" }, make("button", { id: "finish", className: "big go", onclick: end }, say("review.finish"))));
 }

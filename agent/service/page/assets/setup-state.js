@@ -3,6 +3,7 @@ import { askToken } from "./dialogs.js";
 import { addWords, known, say } from "./language.js";
 import { hide, showProblem } from "./notices.js";
 import { ask, read, Refused, token } from "./requests.js";
+import { inPageWords, prose } from "./setup-words.js";
 
 export const seen = { now: null, fields: [], steps: [], finished: false };
 const listeners = new Set();
@@ -48,10 +49,12 @@ async function sent(path, body) {
     if (error instanceof Refused && [401, 403].includes(error.problem.status)) {
       if (await askToken(say("setup.token_why"))) return sent(path, body);
     }
-    showProblem(inWords(error));
+    showProblem(inWords(error), inProse);
     return null;
   }
 }
+
+const inProse = (text) => prose(inPageWords(text));
 
 /* The error with the words of its alarm, which are in both languages, before those of the service. */
 function inWords(error) {
@@ -66,7 +69,7 @@ export async function poll(path, wanted, shown) {
     try {
       shown(await read(`/api/setup/${path}`));
     } catch (error) {
-      if (wanted()) showProblem(inWords(error));
+      if (wanted()) showProblem(inWords(error), inProse);
       return;
     }
     await new Promise((resolve) => setTimeout(resolve, 300));

@@ -3,12 +3,14 @@ import { askToken } from "./dialogs.js";
 import { byId, make } from "./dom.js";
 import { languageNow, languages, loadWords, onLanguage, say, speak, translate } from "./language.js";
 import { keepToken } from "./requests.js";
-import { connectPanel, drawingPanel, fingerPanel, jogPanel, rest } from "./setup-checks.js";
+import { connectPanel, drawingPanel, fingerPanel, jogPanel, rest, wrongAxes } from "./setup-checks.js";
 import { fieldOf } from "./setup-fields.js";
 import { reviewPanel } from "./setup-review.js";
 import { load, onState, seen, settled } from "./setup-state.js";
+import { inPageWords, prose } from "./setup-words.js";
 import { openTheme } from "./theme.js";
 
+const left = new Set();
 let step = "machine", fields = [], panels = [];
 
 /* The address that the terminal shows ends with the token; it is taken out of the address at once. */
@@ -29,7 +31,7 @@ function show(name) {
   step = name;
   fields = seen.fields.filter((field) => field.step === name).map(fieldOf);
   panels = panelsOf(name);
-  byId("step").replaceChildren(make("h2", { id: "step-title" }, say(`step.${name}`)), make("p", { className: "remark" }, say(`about.${name}`)),
+  byId("step").replaceChildren(make("h2", { id: "step-title" }, say(`step.${name}`)), make("p", { className: "remark" }, ...prose(say(`about.${name}`))),
     ...(name === "machine" ? [make("p", { className: "remark" }, say("setup.directory", { directory: seen.now.directory }))] : []),
     make("div", { id: "general" }), ...(fields.length ? [make("div", { className: "fields" }, ...fields.map(({ element }) => element))] : []),
     ...panels.map(({ element }) => element));
@@ -47,15 +49,27 @@ function refresh(needed) {
   for (const field of fields) field.update(needed);
   for (const panel of panels) panel.update();
   const general = seen.now.problems[""];
-  byId("general").replaceChildren(...(general ? [make("div", { className: "panel problem" }, make("b", {}, say("setup.general")), make("p", {}, [general.detail, general.hint].filter(Boolean).join(". ")))] : []));
-  byId("steps").replaceChildren(...seen.steps.map((name, i) => make("button", {
-    id: `to-${name}`, "data-number": String(i + 1), "aria-current": name === step ? "step" : null, onclick: () => go(name), title: say(`step.${name}`) }, make("span", {}, say(`step.${name}`)))));
+  byId("general").replaceChildren(...(general ? [make("div", { className: "panel problem" }, make("b", {}, say("setup.general")), make("p", {}, ...prose(inPageWords([general.detail, general.hint].filter(Boolean).join(". ")))))] : []));
+  byId("steps").replaceChildren(...seen.steps.map((name, i) => {
+    const done = finished(name), title = done ? say("setup.step_done", { step: say(`step.${name}`) }) : say(`step.${name}`);
+    return make("button", { id: `to-${name}`, "data-number": String(i + 1), "data-done": done ? "true" : null, "aria-current": name === step ? "step" : null,
+      onclick: () => go(name), title, ariaLabel: title }, make("span", {}, say(`step.${name}`)));
+  }));
   byId("back").disabled = step === seen.steps[0];
   byId("next").disabled = step === seen.steps.at(-1);
   document.title = `${say(`step.${step}`)} – ${say("setup.title")}`;
 }
 
+/* A step is finished once it was left with nothing wrong or missing in it; the last one once the files are written. */
+function finished(name) {
+  if (name === "review") return seen.now.written !== null;
+  const own = seen.fields.filter((field) => field.step === name).map((field) => field.name);
+  const wrongAxis = name === "chain" && wrongAxes().length > 0;
+  return left.has(name) && !wrongAxis && !own.some((field) => field in seen.now.problems || seen.now.missing === field);
+}
+
 function go(name) {
+  left.add(step);
   show(name);
   byId("step").scrollTop = 0;
   byId("step").focus();
