@@ -9,11 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from twin.arrays import Array
+from twin.artefact.placement_tolerance import MOUNT_ALLOWANCE_MM
 from twin.artefact.pretravel import PretravelMap
 from twin.artefact.touch_pattern import LOCATING_RINGS, centre_shift_per_radius, redundancies, ring_directions
-
-PLACEMENT_ALLOWANCE_MM = 3.0
-"""Allowance at the ends of travel for the deviation of a mount from its nominal location."""
 
 
 @dataclass(frozen=True)
@@ -138,8 +136,8 @@ class ProbingParameters:
         """Travel of X, Y and Z in mm that a touch with the distances of `wide_search` needs, as two arrays (3,): the
         travel below and the travel above the axis positions of the ball centre."""
         starts = -self.directions * (self.contact_mm + self.wide_search.approach_mm)
-        below = np.maximum(0.0, -starts.min(axis=0)) + PLACEMENT_ALLOWANCE_MM
-        return below, np.maximum(0.0, starts.max(axis=0)) + PLACEMENT_ALLOWANCE_MM
+        below = np.maximum(0.0, -starts.min(axis=0)) + MOUNT_ALLOWANCE_MM
+        return below, np.maximum(0.0, starts.max(axis=0)) + MOUNT_ALLOWANCE_MM
 
     @cached_property
     def redundancies(self) -> Array:

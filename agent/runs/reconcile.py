@@ -23,6 +23,7 @@ from agent.runs.reconcile_result import CompensationState, ReconcileAction, Reco
 from agent.runs.reference_state import ACTIVATING_DECISIONS
 from agent.runs.unfinished_run import UnfinishedRun, left_unproved, unfinished_run
 from agent.runs.unproved_table import UnprovedTable
+from drivers.clock import Deadline
 from drivers.errors import DeviceError, NotActiveYet, PermissionMissing
 from drivers.roles import MotionState
 
@@ -56,6 +57,10 @@ class LastCompensation:
     @property
     def expected(self) -> RecordedBank:
         return self.staged if self.staged is not None and self.accepted else self.former
+
+
+REST_WITHIN_S, REST_POLL_S = 10.0, 0.1
+"""Longest wait for the end of a motion that was left to the controller, and interval of looking, in s."""
 
 
 def reconcile(rig: Rig, state_directory: Path, *, of_run: int | None = None, restore: bool = True) -> Reconciliation:
@@ -171,6 +176,7 @@ def _restored(
     if former.number and (image is None or table_digest(image) != former.crc32):
         instruction = f"bank {former.number} no longer holds the former table: `volcal table restore` writes it"
         return unrestored(ReconcileAction.LEFT, None, instruction)
+    _await_rest(rig)
     journal = Journal(state_directory)
     try:
         aside = journal.continue_run(last.run, last.run_id, rig.clock)[0].aside()
@@ -193,6 +199,14 @@ def _restored(
     finally:
         journal.close()
     return Reconciliation(CompensationState.UNPROVED, ReconcileAction.RESTORED, former.number, None, unfinished)
+
+
+def _await_rest(rig: Rig) -> None:
+    """Wait until a motion has ended that a killed process left to the watchdog of the controller; a controller that
+    moves its axes refuses to activate a table."""
+    deadline = Deadline.after(rig.clock, REST_WITHIN_S)
+    while rig.machine.status().state is MotionState.MOVING and not deadline.expired:
+        rig.clock.sleep(REST_POLL_S)
 
 
 def _permitted() -> Plan[None]:

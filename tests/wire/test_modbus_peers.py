@@ -216,8 +216,8 @@ def test_every_peer_passes_the_doctor(cnc: ModbusCnc) -> None:
 @pytest.mark.parametrize(
     ("order", "options", "text"),
     [
-        ("low", {}, "the controller reports implausible limits"),
-        ("high", {"byte_order": "low-first"}, "the controller reports implausible limits"),
+        ("low", {}, "illegal position.* would be .* with word_order 'low-first' and byte_order 'high-first'"),
+        ("high", {"byte_order": "low-first"}, "illegal position.* with word_order 'high-first' and byte_order 'high-"),
         ("high", {"blocks": {"status": 1001}}, "exception 2, illegal register address"),
         ("high", {"blocks": {"limits": 1500}}, "exception 2, illegal register address"),
     ],

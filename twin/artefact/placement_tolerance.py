@@ -1,9 +1,15 @@
-"""Tolerance of an artefact that is placed by hand. Settings, collision checks and measurement share this value."""
+"""Tolerances of the place of an artefact, on a mount or placed by hand.
+
+Settings, collision checks and measurement share these values.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+
+MOUNT_ALLOWANCE_MM = 3.0
+"""Allowance at the ends of travel for the deviation of a mount from its nominal location."""
 
 
 @dataclass(frozen=True)

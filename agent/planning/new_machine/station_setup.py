@@ -12,7 +12,7 @@ import numpy as np
 from agent.planning.new_machine.artefact_setup import TOUCHED_MM, ArtefactSetup
 from agent.planning.new_machine.machine_setup import PROPOSED, STATED, MachineSetup, Triple
 from agent.planning.new_machine.spindle import points_up
-from agent.probing.probing_parameters import PLACEMENT_ALLOWANCE_MM
+from twin.artefact.placement_tolerance import MOUNT_ALLOWANCE_MM
 from twin.artefact.position_set import Position
 from twin.collision.probe_frame import VERTICAL, ProbeFrame
 from twin.errors import DataError
@@ -28,7 +28,7 @@ SHAFT_TOWARDS_SPINDLE = 0.85
 TABLE_BELOW_MM = 20.0
 """Distance of the table from the last point that the stylus or, with a horizontal spindle, the ram reaches."""
 FULL_ELEVATION_DEG = 45.0
-BEFORE_TOUCH_MM = 8.0 + PLACEMENT_ALLOWANCE_MM
+BEFORE_TOUCH_MM = 8.0 + MOUNT_ALLOWANCE_MM
 """Travel in front of the contact with a ball that its first touch needs (`procedure.wide_approach_mm`)."""
 
 
@@ -230,8 +230,8 @@ def _touch_shift_mm(machine: MachineSetup, artefact: ArtefactSetup) -> float:
     inclined = math.sin(math.radians(_elevation(machine, artefact)))
     before_mm = 0.5 * artefact.diameter_mm + machine.probe["tip_radius_mm"] + BEFORE_TOUCH_MM
     needed_mm = 0.5 * artefact.size_mm * inclined + before_mm - half_mm
-    free_mm = half_mm - PLACEMENT_ALLOWANCE_MM - 0.5 * artefact.size_mm * inclined
-    return max(0.0, min(needed_mm, max(free_mm, 0.5 * (before_mm - PLACEMENT_ALLOWANCE_MM))))
+    free_mm = half_mm - MOUNT_ALLOWANCE_MM - 0.5 * artefact.size_mm * inclined
+    return max(0.0, min(needed_mm, max(free_mm, 0.5 * (before_mm - MOUNT_ALLOWANCE_MM))))
 
 
 def _table_height(machine: MachineSetup, place_mm: float, mount: MountSize) -> float:

@@ -127,7 +127,8 @@ def test_every_move_is_guarded_and_every_touch_slow(touches: list[Answer]) -> No
         if isinstance(step, s.MoveTo):
             assert step.guarded
         if isinstance(step, s.TouchTowards):
-            assert step.feed_mm_per_s == FEED_MM_PER_S
+            slower = "/late-latch/" in step.key  # touches of a ball that appears too small
+            assert step.feed_mm_per_s <= FEED_MM_PER_S if slower else step.feed_mm_per_s == FEED_MM_PER_S
 
 
 def test_nothing_but_misses_ends_at_the_first_ball_and_names_it() -> None:
