@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +58,17 @@ def volcal(directory: Path, *arguments: str) -> subprocess.Popen[str]:
     )
 
 
+def kill_calibration(directory: Path, config: Path, reached: Callable[[], bool]) -> None:
+    """Start a calibration in a process of its own, and kill it once `reached` is True."""
+    with volcal(directory, "calibrate", "--config", str(config)) as agent:
+        try:
+            wait_until(reached, agent)
+            os.kill(agent.pid, signal.SIGKILL)
+            agent.communicate(timeout=600.0)
+        finally:
+            agent.kill()
+
+
 def finished(agent: subprocess.Popen[str]) -> dict[str, Any]:
     try:
         stdout, stderr = agent.communicate(timeout=600.0)
@@ -72,13 +84,7 @@ def test_a_killed_calibration_goes_on_to_its_end(tmp_path: Path) -> None:
     with simulated(scenario) as (_, ready):
         config = shortened(configured(ready, tmp_path), positions)
         state = tmp_path / "state"
-        with volcal(tmp_path, "calibrate", "--config", str(config)) as agent:
-            try:
-                wait_until(lambda: balls_in(state) >= BALLS_BEFORE_THE_KILL, agent)
-                os.kill(agent.pid, signal.SIGKILL)
-                agent.communicate(timeout=600.0)
-            finally:
-                agent.kill()
+        kill_calibration(tmp_path, config, lambda: balls_in(state) >= BALLS_BEFORE_THE_KILL)
         killed = stored_run(state)
         assert (killed.row.state, killed.row.ended) == ("measuring", None)
         outcome = finished(volcal(tmp_path, "resume", "--config", str(config)))
@@ -96,13 +102,7 @@ def test_a_run_killed_during_its_proof_is_restored_by_command_and_can_still_prov
     with simulated(scenario) as (_, ready):
         config = shortened(configured(ready, tmp_path), positions)
         state = tmp_path / "state"
-        with volcal(tmp_path, "calibrate", "--config", str(config)) as agent:
-            try:
-                wait_until(lambda: proving(state), agent)
-                os.kill(agent.pid, signal.SIGKILL)
-                agent.communicate(timeout=600.0)
-            finally:
-                agent.kill()
+        kill_calibration(tmp_path, config, lambda: proving(state))
         run_id = stored_run(state).row.run_id
         restored = finished(volcal(tmp_path, "resume", "--restore", "--config", str(config)))
         assert (restored["run_id"], restored["found"]) == (run_id, "a new table acts that was never proved")
