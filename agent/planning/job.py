@@ -13,7 +13,8 @@ import numpy as np
 from agent.execution.steps import Plan, RunPlan
 from agent.planning.measuring_order import OrderOptimiser
 from agent.planning.time_model import time_model
-from agent.probing.position import MeasuredBall, PositionRules
+from agent.probing.measured_balls import MeasuredBall
+from agent.probing.position import PositionRules
 from agent.probing.preparation import Preparation, PreparationResult, prepare_probe
 from agent.probing.repeated_positions import RepeatRules
 from agent.probing.run_plan import MeasuredPositions, MeasuringOrder, by_station
@@ -101,8 +102,11 @@ class Job:
         It consists of the measuring layout and of the covariance of the measured ball centres. It contains neither
         devices nor a measuring order.
         """
-        probing = self.rules.probing
-        covariance = centre_covariance(probing.directions, probing.touch_sigma_mm)
+        probing, qualifying = self.rules.probing, self.preparation.qualification
+        if qualifying is None:
+            covariance = centre_covariance(probing.directions, probing.touch_sigma_mm)
+        else:
+            covariance = qualifying.centre_covariance(probing)
         return Procedure({self.settings.tool: self.layout}, covariance)
 
     @cached_property

@@ -10,6 +10,7 @@ import numpy as np
 
 from agent.files import translated
 from agent.model_files import load_machine, load_positions
+from agent.planning.ball_consistency import ball_consistency
 from agent.planning.held_out_positions import (
     LazyHeldOut,
     held_out_grid,
@@ -76,15 +77,27 @@ def prepare_job(settings: Settings, base: Path) -> Job:
             settling_of(settings.temperature),
             station_change(settings.roles, settings.stations),
             hand_placement(settings),
+            ball_consistency(settings, machine, layout, probing),
         ),
         gate_limits=settings.gates,
     )
+    _refuse_unknown_radius(job)
     _refuse_low_mount(job)
     _refuse_unsafe_placement(job)
     _refuse_nothing_reachable(job)
     if settings.procedure.position_set.endswith(POSITION_FILES):
         _refuse_unreachable_entry(job)
     return replace(job, held_out_choice=_held_out_choice(job))
+
+
+def _refuse_unknown_radius(job: Job) -> None:
+    probing, qualifying = job.rules.probing, job.preparation.qualification
+    if not probing.determines_radius and qualifying is None:
+        raise ConfigurationError(
+            f"{len(probing.directions)} touches do not determine the radius of a ball, and the stylus is not qualified",
+            key="procedure.touches_per_ball",
+            hint="set qualification.enabled = true, or touch each ball five times",
+        )
 
 
 def _held_out_choice(job: Job) -> HeldOutChoice:

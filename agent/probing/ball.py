@@ -7,6 +7,7 @@ gate.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,7 +46,8 @@ class FittedBall:
 
     `radius_mm`, `form_mm` (form error) and `residuals_mm` (k,), with one residual for each of the k touches, belong to
     a sphere fitted with a free radius. This holds even if the centre was fitted with a fixed radius, because only the
-    values of a free radius show whether the ball is clean.
+    values of a free radius show whether the ball is clean. If the touches do not determine a radius, `radius_mm` and
+    `form_mm` are NaN and the residuals are zero; the ball is then checked against the other balls of its position.
     """
 
     centre_mm: Vector
@@ -198,7 +200,7 @@ class _Ball:
         return cleaned, points, None if cleaned is None else self._gate(cleaned)
 
     def _gate(self, fit: SphereFit) -> FailedGate | None:
-        return first_failed_gate(fit, self._probing)
+        return first_failed_gate(fit, self._probing) if self._probing.determines_radius else None
 
     def _distance_mm(self, fit: SphereFit) -> float:
         return float(np.linalg.norm(fit.centre - self._centre))
@@ -219,13 +221,18 @@ class _Ball:
         yield Record(f"{key}/again", "event", {"ball": self._key, "reason": self.reason, "then": then})
 
     def _fit_corrected(self, points: Vector) -> SphereFit | None:
-        """Fit a sphere with a free radius to the touches of the whole pattern, corrected for pretravel."""
-        return self._fit_sphere(self._corrected(points))
+        """Fit a sphere to the touches of the whole pattern, corrected for pretravel. Its radius is free if the touches
+        determine it."""
+        probing = self._probing
+        radius = None if probing.determines_radius else probing.expected_radius_mm
+        return self._fit_sphere(self._corrected(points), radius)
 
-    def _fit_sphere(self, points: Vector) -> SphereFit | None:
-        """Fit a sphere with a free radius to `points`; if the fit fails, set `reason` and return None."""
+    def _fit_sphere(self, points: Vector, radius_mm: float | None = None) -> SphereFit | None:
+        """Fit a sphere to `points`, with a free radius if `radius_mm` is None. If the fit fails, set `reason` and
+        return None."""
         try:
-            return fit_sphere(points, self._probing.touch_sigma_mm)
+            near = None if radius_mm is None else self._centre
+            return fit_sphere(points, self._probing.touch_sigma_mm, radius_mm, near=near)
         except TwinError as error:
             self.reason = f"no sphere through the touches: {error}"
             return None
@@ -243,7 +250,10 @@ class _Ball:
             fit = fit_sphere(self._corrected(points), probing.touch_sigma_mm, stylus.radius_mm, near=free.centre)
             moved = stylus.radius_sigma_mm * probing.centre_per_radius
             centre, covariance = fit.centre, fit.centre_covariance + np.outer(moved, moved)
-        return FittedBall(centre, covariance, free.radius, free.form, self.touches, free.residuals)
+        shown = probing.determines_radius
+        radius, form = (free.radius, free.form) if shown else (math.nan, math.nan)
+        residuals = free.residuals if shown else np.zeros(len(points))
+        return FittedBall(centre, covariance, radius, form, self.touches, residuals)
 
     def _note(self, reason: str, last: bool) -> dict[str, object]:
         return {"ball": self._key, "reason": reason, "then": self._next(last)}

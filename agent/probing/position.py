@@ -11,11 +11,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.errors import PlacementLost
+from agent.errors import MeasurementFault, PlacementLost
 from agent.execution.steps import Plan, Record
 from agent.probing.ball import FittedBall, LostBall, measure_ball
+from agent.probing.ball_consistency import BallConsistency
 from agent.probing.hand_placement import HandPlacement
 from agent.probing.lost_ball import lost_ball_fault
+from agent.probing.measured_balls import MeasuredBall
 from agent.probing.paths.path_planner import PathPlanner, PlainPathPlanner
 from agent.probing.paths.retreat import Retreat
 from agent.probing.probing_parameters import ProbingParameters, Search
@@ -47,41 +49,6 @@ class PositionTask:
     @property
     def balls(self) -> list[int]:
         return [int(i) for i in np.flatnonzero(self.reachable)]
-
-
-@dataclass(frozen=True)
-class MeasuredBall:
-    """Measured ball centre, with the position and the temperatures at which it was measured."""
-
-    position: int
-    station: int
-    azimuth_deg: float
-    elevation_deg: float
-    ball: int
-    found: FittedBall
-    conditions: Conditions
-
-    @property
-    def temperature_c(self) -> float:
-        """Temperature of the artefact in °C."""
-        return self.conditions.artefact_c
-
-    def record(self, key: str) -> dict[str, object]:
-        return {
-            "key": key,
-            "position": self.position,
-            "station": self.station,
-            "azimuth_deg": self.azimuth_deg,
-            "elevation_deg": self.elevation_deg,
-            "ball": self.ball,
-            "centre_mm": self.found.centre_mm,
-            "covariance_mm2": self.found.covariance_mm2,
-            "radius_mm": self.found.radius_mm,
-            "form_mm": self.found.form_mm,
-            "temperature_c": self.temperature_c,
-            "machine_c": self.conditions.machine_c,
-            "instant_s": self.conditions.instant_s,
-        }
 
 
 @dataclass(frozen=True)
@@ -118,7 +85,8 @@ class MeasuredPosition:
 @dataclass(frozen=True)
 class PositionRules:
     """Rules of the measurement of a position. `placement` has the rules for an artefact that is placed by hand; it is
-    None if a mount holds the artefact."""
+    None if a mount holds the artefact. `consistency` checks balls that are touched too few times for a form error of
+    their own against the other balls of the position; it is None if every ball is checked on its own."""
 
     probing: ProbingParameters
     retreat: Retreat
@@ -126,6 +94,7 @@ class PositionRules:
     settling: SettlingRules = field(default_factory=SettlingRules)
     change: StationChange = field(default_factory=StationChange)
     placement: HandPlacement | None = None
+    consistency: BallConsistency | None = None
 
 
 def measure_position(
@@ -162,6 +131,7 @@ def measure_position(
     own.align(aligned)
     for ball in sequence.others:
         yield from measuring.ball(ball, aligned[ball])
+    found_first = yield from measuring.check_consistency(first, found_first)
     drift = yield from measuring.drift(first, found_first, rules.drift)
     if planner is None:
         yield from own.leave(task.key, found_first.centre_mm)
@@ -178,6 +148,7 @@ class _Measuring:
         self._planner = planner
         self._by_hand = rules.placement is not None
         self._thermometers = rules.settling.thermometers
+        self._consistency = rules.consistency
         self.found: list[MeasuredBall] = []
         self.again: MeasuredBall | None = None
         self.lost = 0
@@ -191,29 +162,75 @@ class _Measuring:
             raise PlacementLost(
                 f"ball {ball} could not be measured after the artefact had been located: {result.reason}",
                 hint="clean the ball, and check that the artefact stands firmly",
-                step=f"{self._task.key}/ball-{ball:02d}",
+                step=self._key(ball),
             )
         if isinstance(result, LostBall):
-            key = f"{self._task.key}/ball-{ball:02d}"
-            raise (yield from lost_ball_fault(key, f"end ball {ball}", result, self._probing))
+            raise (yield from lost_ball_fault(self._key(ball), f"end ball {ball}", result, self._probing))
         return result
 
     def ball(self, ball: int, predicted: Array, search: Search | None = None) -> Plan[FittedBall | LostBall]:
-        """Measure one ball and record it in the journal at once."""
-        key = f"{self._task.key}/ball-{ball:02d}"
+        """Measure one ball. It is recorded in the journal at once, unless it can be checked only together with the
+        other balls of the position."""
+        key = self._key(ball)
         result = yield from self._approach_and_measure(key, ball, predicted, search or self._probing.narrow_search)
         if isinstance(result, LostBall):
-            self.lost += 1
-            yield Record(f"{key}/lost", "event", {"ball": ball, "reason": result.reason})
+            yield from self._lose(ball, result.reason)
             return result
         measured = yield from self._measured(key, ball, result)
         self.found.append(measured)
-        yield Record(f"{key}/centre", "ball", measured.record(key))
+        if self._consistency is None:
+            yield Record(f"{key}/centre", "ball", measured.record(key))
         return result
+
+    def check_consistency(self, first: int, found_first: FittedBall) -> Plan[FittedBall]:
+        """Measure the balls that do not fit the others once more, and give those up that still do not fit. Return the
+        first ball as it was measured last.
+
+        The probe does not leave the position before, so that a false trip costs seconds. A particle on a ball, or a
+        ball that is loose on its holder, does not disappear.
+        """
+        check = self._consistency
+        if check is None:
+            return found_first
+        doubtful = check.inconsistent(self.found)
+        for one in doubtful:
+            key = f"{self._key(one.ball)}/once-more"
+            yield Record(f"{key}/reason", "event", {"ball": one.ball, "reason": one.text, "then": "repeat the ball"})
+            place = [ball.ball for ball in self.found].index(one.ball)
+            result = yield from self._approach_and_measure(
+                key, one.ball, self.found[place].found.centre_mm, self._probing.narrow_search
+            )
+            if isinstance(result, LostBall):
+                del self.found[place]
+                yield from self._lose(one.ball, result.reason)
+            else:
+                self.found[place] = yield from self._measured(key, one.ball, result)
+        for one in check.inconsistent(self.found) if doubtful else ():
+            if self._probing.stop_on_failure:
+                raise MeasurementFault(
+                    f"ball {one.ball} does not fit the other balls of its position: {one.text}",
+                    hint="clean the ball and the stylus, and check that the ball is firm on its holder",
+                    step=self._key(one.ball),
+                )
+            self.found = [ball for ball in self.found if ball.ball != one.ball]
+            yield from self._lose(one.ball, one.text)
+        for measured in self.found:
+            key = self._key(measured.ball)
+            yield Record(f"{key}/centre", "ball", measured.record(key))
+        return next((ball.found for ball in self.found if ball.ball == first), found_first)
+
+    def _lose(self, ball: int, reason: str) -> Plan[None]:
+        self.lost += 1
+        yield Record(f"{self._key(ball)}/lost", "event", {"ball": ball, "reason": reason})
+
+    def _key(self, ball: int) -> str:
+        return f"{self._task.key}/ball-{ball:02d}"
 
     def drift(self, first: int, found: FittedBall, limits: DriftLimits) -> Plan[Array]:
         """Measure the first ball again; return its apparent displacement (3,) in mm, NaN if it was lost."""
-        key = f"{self._task.key}/ball-{first:02d}/again"
+        if all(ball.ball != first for ball in self.found):
+            return np.full(3, np.nan)
+        key = f"{self._key(first)}/again"
         again = yield from self._approach_and_measure(key, first, found.centre_mm, self._probing.narrow_search)
         if isinstance(again, LostBall):
             yield Record(f"{key}/lost", "event", {"ball": first, "reason": again.reason})

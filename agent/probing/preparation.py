@@ -196,8 +196,10 @@ def _go_to_ball(key: str, position: Position, predicted: Array, rules: PositionR
 
 
 def _locate_ball(key: str, predicted: Array, rules: PositionRules) -> Plan[FittedBall]:
-    """Measure the ball with the locating search and the run's touch pattern. Raises MeasurementFault if it is lost."""
-    result = yield from measure_ball(key, predicted, rules.probing, rules.probing.locating_search)
+    """Measure the ball with the locating search and the run's touch pattern, or with the smallest one that determines
+    its radius. Raises MeasurementFault if it is lost."""
+    probing = rules.probing.determining_radius()
+    result = yield from measure_ball(key, predicted, probing, probing.locating_search)
     if isinstance(result, LostBall):
         raise (yield from lost_ball_fault(key, "the ball for the probe check", result, rules.probing))
     yield Record(f"{key}/found", "event", {"centre_mm": result.centre_mm, "form_um": result.form_mm * 1e3})

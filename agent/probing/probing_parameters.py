@@ -11,7 +11,15 @@ import numpy as np
 from twin.arrays import Array
 from twin.artefact.placement_tolerance import MOUNT_ALLOWANCE_MM
 from twin.artefact.pretravel import PretravelMap
-from twin.artefact.touch_pattern import LOCATING_RINGS, centre_shift_per_radius, redundancies, ring_directions
+from twin.artefact.touch_pattern import (
+    LOCATING_RINGS,
+    RADIUS_PATTERN,
+    approach_directions,
+    centre_shift_per_radius,
+    determines_radius,
+    redundancies,
+    ring_directions,
+)
 
 
 @dataclass(frozen=True)
@@ -138,6 +146,19 @@ class ProbingParameters:
         starts = -self.directions * (self.contact_mm + self.wide_search.approach_mm)
         below = np.maximum(0.0, -starts.min(axis=0)) + MOUNT_ALLOWANCE_MM
         return below, np.maximum(0.0, starts.max(axis=0)) + MOUNT_ALLOWANCE_MM
+
+    @property
+    def determines_radius(self) -> bool:
+        """True if the touches of a ball determine its radius. If not, balls are measured with the qualified radius, and
+        the touches of a position are checked against each other."""
+        return determines_radius(self.directions)
+
+    def determining_radius(self) -> ProbingParameters:
+        """Return these parameters with a touch pattern that determines the radius of a ball, for the checks before the
+        stylus has been qualified."""
+        if self.determines_radius:
+            return self
+        return replace(self, directions=approach_directions(RADIUS_PATTERN, self.stylus_axis))
 
     @cached_property
     def redundancies(self) -> Array:

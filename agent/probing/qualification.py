@@ -33,6 +33,20 @@ class QualificationRules:
     limits: BallLimits
     spread_mm: float
 
+    def radius_sigma_mm(self, touch_sigma_mm: float) -> float:
+        """Return the standard uncertainty of the qualified radius for any ball: that of the dense fit, and the spread
+        of the balls' radii."""
+        dense = fit_sphere(-self.directions, touch_sigma_mm)
+        return float(np.hypot(np.sqrt(dense.covariance[3, 3]), self.spread_mm))
+
+    def centre_covariance(self, probing: ProbingParameters) -> Array:
+        """Return the covariance (3, 3) in mm² that planning expects of a ball centre: with a free radius if the touches
+        determine it, otherwise with the radius of this qualification."""
+        directions, sigma_mm = probing.directions, probing.touch_sigma_mm
+        if probing.determines_radius:
+            return centre_covariance(directions, sigma_mm)
+        return known_radius_covariance(directions, sigma_mm, self.radius_sigma_mm(sigma_mm))
+
 
 @dataclass(frozen=True, eq=False)
 class Qualification:
@@ -40,7 +54,8 @@ class Qualification:
 
     `trace_free_um2` and `trace_fixed_um2` are traces of the covariance of a ball centre that is measured with the touch
     pattern of the run. The first is valid if the sphere is fitted with a free radius, the second if it is fitted with a
-    fixed radius. The fit with the smaller trace is used for the run. `datum_mm` is the centre of the ball used.
+    fixed radius. The fit with the smaller trace is used for the run. The first is None if the touches do not determine
+    a radius. `datum_mm` is the centre of the ball used.
     """
 
     stylus: Stylus
@@ -48,17 +63,18 @@ class Qualification:
     form_um: float
     directions: Array
     residuals_um: Array
-    trace_free_um2: float
+    trace_free_um2: float | None
     trace_fixed_um2: float
 
     @property
     def text(self) -> str:
         stylus = self.stylus
         how = "fixed" if stylus.fixed else "free"
+        free = "" if self.trace_free_um2 is None else f", {self.trace_free_um2:.2f} µm² free"
         text = (
             f"effective radius {stylus.radius_mm:.4f} mm ± {2.0 * stylus.radius_sigma_mm * UM_PER_MM:.1f} µm (2σ), "
             f"form {self.form_um:.1f} µm of {len(self.directions)} touches; spheres are fitted with the radius {how} "
-            f"(trace of a centre's covariance {self.trace_fixed_um2:.2f} µm² fixed, {self.trace_free_um2:.2f} µm² free)"
+            f"(trace of a centre's covariance {self.trace_fixed_um2:.2f} µm² fixed{free})"
         )
         if stylus.pretravel is not None:
             text += (
@@ -87,21 +103,21 @@ def qualify_stylus(
 def qualification_of(found: FittedBall, probing: ProbingParameters, rules: QualificationRules) -> Qualification:
     """Return the stylus qualification that results from the densely touched ball `found`. Later spheres are fitted with
     the qualified radius as fixed radius if this reduces the uncertainty of their centres."""
-    sigma_mm = probing.touch_sigma_mm
-    # Uncertainty of the radius for any ball: that of the dense fit, and the spread of the balls' radii.
-    dense = fit_sphere(-rules.directions, sigma_mm)
-    radius_sigma_mm = float(np.hypot(np.sqrt(dense.covariance[3, 3]), rules.spread_mm))
-    free = float(np.trace(centre_covariance(probing.directions, sigma_mm)))
+    sigma_mm, radius_sigma_mm = probing.touch_sigma_mm, rules.radius_sigma_mm(probing.touch_sigma_mm)
+    free: float | None = None
+    if probing.determines_radius:
+        free = float(np.trace(centre_covariance(probing.directions, sigma_mm)))
     fixed = float(np.trace(known_radius_covariance(probing.directions, sigma_mm, radius_sigma_mm)))
     # The fit with the smaller trace of the centre's covariance is used.
-    stylus = Stylus(found.radius_mm, radius_sigma_mm, fixed < free, _map(found, probing, rules))
+    is_fixed = free is None or fixed < free
+    stylus = Stylus(found.radius_mm, radius_sigma_mm, is_fixed, _map(found, probing, rules))
     return Qualification(
         stylus=stylus,
         datum_mm=found.centre_mm,
         form_um=found.form_mm * UM_PER_MM,
         directions=rules.directions,
         residuals_um=found.residuals_mm * UM_PER_MM,
-        trace_free_um2=free * UM_PER_MM**2,
+        trace_free_um2=None if free is None else free * UM_PER_MM**2,
         trace_fixed_um2=fixed * UM_PER_MM**2,
     )
 

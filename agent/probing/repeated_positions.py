@@ -14,7 +14,8 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 
 from agent.execution.steps import Fork, Record, RunPlan
-from agent.probing.position import MeasuredBall, MeasuredPosition, PositionRules
+from agent.probing.measured_balls import MeasuredBall
+from agent.probing.position import MeasuredPosition, PositionRules
 from agent.probing.run_plan import MeasuredPositions, MeasuringOrder, measure_positions
 from agent.thermal.readings import machine_change_k
 from twin.artefact.position_set import Position

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.results.observations import Correction, no_correction
+from agent.probing.measured_balls import Correction, no_correction
 from twin.arrays import Array
 from twin.artefact.change_test import DECISIVE_ODDS, ChangeTest, odds_text
 from twin.compensation.misread_tables import misread_tables

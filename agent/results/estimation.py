@@ -14,10 +14,10 @@ from importlib.metadata import version
 import numpy as np
 
 from agent.planning.job import Job
-from agent.probing.position import MeasuredBall
+from agent.probing.measured_balls import Correction, MeasuredBall, observations_of, position_numbers
 from agent.results.artefact_calibration import calibration_record
 from agent.results.facts import Quantity, VolumetricSummary
-from agent.results.observations import Correction, ReferenceArtefact, observations_of, position_numbers, positions_named
+from agent.results.observations import ReferenceArtefact, positions_named
 from agent.results.travel_parts import TravelPart, TravelParts
 from agent.settings.schema import IdentificationSettings, Order, TableSettings
 from agent.settings.temperature import TemperatureSettings

@@ -17,7 +17,7 @@ from typing import Any
 from agent.execution.journal import RunJournal
 from agent.files import read_text
 from agent.planning.job import Job
-from agent.probing.position import MeasuredBall
+from agent.probing.measured_balls import MeasuredBall
 from agent.probing.preparation import PreparationResult
 from agent.results.decision_kinds import HELD_OUT, IDENTIFIED, OUTCOME, PROBE
 from agent.results.estimation import EstimationResult, order_text

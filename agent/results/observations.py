@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-import numpy as np
-
 from agent.planning.job import Job
-from agent.probing.position import MeasuredBall
+from agent.probing.measured_balls import MeasuredBall, no_correction, observations_of, position_numbers
 from agent.probing.run_plan import MeasuredPositions
-from agent.thermal.machine_drift import RunDrift, is_drifting
+from agent.thermal.machine_drift import is_drifting
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.held_out_check import HeldOutCovariance, HeldOutResiduals, held_out_covariance, held_out_residuals
@@ -20,9 +17,6 @@ from twin.artefact.observations import Observations
 from twin.errors import PositionError
 from twin.identification import shared_with_artefact
 from twin.identification.unknowns import Unknowns
-from twin.thermal.readings import smooth_readings
-
-Correction = Callable[[Array], Array]
 
 
 def balls_for_estimate(job: Job, measured: MeasuredPositions) -> list[MeasuredBall]:
@@ -35,35 +29,6 @@ def balls_for_estimate(job: Job, measured: MeasuredPositions) -> list[MeasuredBa
     balls = job.balls_of(measured, held_out=False)
     drifting = is_drifting(job.settings.temperature, [ball.conditions for ball in balls])
     return job.balls_of(measured, held_out=False, again=True) if drifting else balls
-
-
-def observations_of(
-    balls: Sequence[MeasuredBall],
-    tool_offset_mm: Array,
-    correction: Correction,
-    drift: RunDrift | None = None,
-) -> Observations:
-    """Return the observations (measured ball centres with their temperatures) of the machine without compensation.
-    Their axis positions are the displayed positions plus the corrections of the active table.
-
-    `correction` maps n displayed axis positions (n, 3) in mm to the corrections (n, 3) in mm that the controller adds.
-    `drift` is the drift of the machine while the balls were measured, or None if it is not estimated. With a drift, the
-    observations contain its regressors and smoothed temperatures of the artefact.
-    """
-    temperature_c = np.array([ball.temperature_c for ball in balls])
-    displayed = np.array([ball.found.centre_mm for ball in balls])
-    return Observations(
-        position=np.array(_renumbered(ball.position for ball in balls)),
-        ball=np.array([ball.ball for ball in balls]),
-        tool=np.zeros(len(balls), dtype=np.int64),
-        axis_positions=displayed + correction(displayed),
-        covariance=np.array([ball.found.covariance_mm2 for ball in balls]),
-        temperature_c=temperature_c if drift is None else smooth_readings(drift.instants_s, temperature_c),
-        elevation_rad=np.array([math.radians(ball.elevation_deg) for ball in balls]),
-        azimuth_rad=np.array([math.radians(ball.azimuth_deg) for ball in balls]),
-        tool_offsets=tool_offset_mm.reshape(1, 3),
-        thermal_regressors=np.zeros((len(balls), 0)) if drift is None else drift.regressors,
-    )
 
 
 def displayed_residuals(balls: Sequence[MeasuredBall], tool_offset_mm: Array, artefact: Artefact) -> HeldOutResiduals:
@@ -109,10 +74,6 @@ def certified_balls(balls: Sequence[MeasuredBall], artefact: Artefact) -> list[M
     return [ball for ball in balls if ball.ball not in artefact.uncertified]
 
 
-def no_correction(displayed: Array) -> Array:
-    return np.zeros_like(displayed)
-
-
 @contextmanager
 def positions_named(balls: Sequence[MeasuredBall]) -> Iterator[None]:
     """Name the position of an error raised in the `with` block, which concerns the observations of `balls`, by its
@@ -122,14 +83,3 @@ def positions_named(balls: Sequence[MeasuredBall]) -> Iterator[None]:
     except PositionError as error:
         error.where.pop("row", None)
         raise error.renumbered(position_numbers(balls)[error.position]) from None
-
-
-def position_numbers(balls: Iterable[MeasuredBall]) -> list[int]:
-    """Return the number in the run of each position of the observations of `balls`."""
-    return list(dict.fromkeys(ball.position for ball in balls))
-
-
-def _renumbered(numbers: Iterable[int]) -> list[int]:
-    """Return an index for each position number, counted from 0 in the order of first occurrence."""
-    seen: dict[int, int] = {}
-    return [seen.setdefault(number, len(seen)) for number in numbers]

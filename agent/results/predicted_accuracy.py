@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 from agent.files import translated
 from agent.planning.job import Job
-from agent.probing.position import MeasuredBall
+from agent.probing.measured_balls import MeasuredBall, no_correction, observations_of
 from agent.probing.run_plan import MeasuredPositions
-from agent.results.observations import ReferenceArtefact, no_correction, observations_of
+from agent.results.observations import ReferenceArtefact
 from drivers.errors import ConfigurationError
 from twin.artefact.held_out_check import held_out_residuals
 from twin.artefact.observations import Observations

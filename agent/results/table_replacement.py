@@ -25,18 +25,11 @@ import numpy as np
 from agent.errors import MeasurementFault
 from agent.files import translated
 from agent.planning.job import Job
-from agent.probing.position import MeasuredBall
+from agent.probing.measured_balls import Correction, MeasuredBall, observations_of
 from agent.probing.run_plan import MeasuredPositions
 from agent.results.applied_table import AppliedTable, applied_table
 from agent.results.estimation import EstimationResult
-from agent.results.observations import (
-    Correction,
-    ReferenceArtefact,
-    balls_for_estimate,
-    certified_balls,
-    displayed_residuals,
-    observations_of,
-)
+from agent.results.observations import ReferenceArtefact, balls_for_estimate, certified_balls, displayed_residuals
 from agent.results.run_outcome import Confirmation, Proof
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact

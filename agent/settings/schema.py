@@ -101,7 +101,7 @@ class ProcedureSettings(StrictModel):
 
     position_set: str = "S3"
     stations: list[PositiveInt] | None = None
-    touches_per_ball: Literal[5, 9, 13, 25] = 5
+    touches_per_ball: Literal[3, 5, 9, 13, 25] = 5
     touch_feed_mm_per_min: PositiveFloat = Field(default=300.0, le=3000.0)
     approach_mm: PositiveFloat = Field(default=3.0, le=50.0)
     search_mm: PositiveFloat = Field(default=3.0, le=10.0)
@@ -123,6 +123,7 @@ class ProcedureSettings(StrictModel):
     touch_limit_um: PositiveFloat = 6.0
     pole_limit_um: PositiveFloat = 10.0
     drift_limit_um: PositiveFloat = 10.0
+    position_false_alarm: float = Field(default=1e-3, gt=0.0, le=0.1)
     repeats: int = Field(default=2, ge=0, le=5)
     on_failure: Literal["stop", "skip"] = "skip"
 

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from agent.results.observations import no_correction
+from agent.probing.measured_balls import no_correction
 from agent.results.table_replacement import expected_gain
 from agent.settings.schema import VerificationSettings
 from campaigns.foreign.artefact import S3, measure, tilted_bar

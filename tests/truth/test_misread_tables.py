@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
+from agent.probing.measured_balls import no_correction
 from agent.results.applied_table import AppliedTable, applied_table
-from agent.results.observations import no_correction
 from campaigns.foreign.artefact import S3, MeasuringConditions, measure, measure_at, tilted_bar
 from campaigns.foreign.machine import TOOL, foreign_machine
 from campaigns.foreign.score import family_of

@@ -19,12 +19,18 @@ stylus axis in degrees.
 # A touch on the equator within 30° of the holder would hit it. Touching the equator only at 45° avoids a holder along
 # a machine axis or in one plane with the stylus. Most touches are therefore at latitude 45° and above, which nothing
 # obstructs if the pole of the ball is free.
+# Three touches at right angles to each other give all three coordinates of the centre the variance of a touch. The
+# radius must be known then.
 RINGS: dict[int, tuple[Ring, ...]] = {
+    3: ((0.0, 1, 45.0), (0.0, 1, 135.0)),
     5: ((0.0, 4, 45.0),),
     9: ((45.0, 4, 0.0), (0.0, 4, 45.0)),
     13: ((45.0, 8, 0.0), (0.0, 4, 45.0)),
     25: ((67.5, 8, 0.0), (45.0, 12, 15.0), (0.0, 4, 45.0)),
 }
+
+RADIUS_PATTERN = 5
+"""Number of touches of the smallest pattern that determines the radius of the ball, too."""
 
 QUALIFYING_RINGS: tuple[Ring, ...] = ((60.0, 8, 0.0), (30.0, 8, 22.5), (0.0, 8, 0.0))
 """Rings of touches for the qualification of a stylus on a free-standing ball.
@@ -46,8 +52,8 @@ def approach_directions(count: int, stylus_axis: Array) -> Array:
     """Return the approach directions of the touch pattern with `count` touches on a ball as unit vectors, in an array
     (count, 3). The first touch is at the pole, which is the point of the ball that faces the stylus.
 
-    `stylus_axis` (3,) is the unit vector from the ram towards the tip. Raises DataError if `count` is not 5, 9, 13 or
-    25.
+    `stylus_axis` (3,) is the unit vector from the ram towards the tip. Raises DataError if there is no pattern of
+    `count` touches.
     """
     if count not in RINGS:
         raise DataError(f"no pattern of {count} touches", hint=f"available patterns: {sorted(RINGS)}")
@@ -70,6 +76,12 @@ def ring_directions(rings: Sequence[Ring], stylus_axis: Array) -> Array:
             sideways = math.cos(angle) * first + math.sin(angle) * second
             rows.append(height * pole - width * sideways)
     return np.array(rows)
+
+
+def determines_radius(directions: Array) -> bool:
+    """Return True if touches along `directions` (k, 3) determine the radius of the ball together with its centre; three
+    touches need a known radius."""
+    return len(directions) >= RADIUS_PATTERN
 
 
 def centre_covariance(directions: Array, touch_sigma_mm: float) -> Array:

@@ -17,7 +17,7 @@ from agent.files import translated
 from agent.planning.job import Job
 from agent.planning.stand_ins import STAND_IN_TABLE, USUAL_STORE
 from agent.probing import publish
-from agent.probing.position import MeasuredBall
+from agent.probing.measured_balls import MeasuredBall
 from agent.probing.repeated_positions import measure_with_repeats
 from agent.probing.run_plan import MEASURED, VERIFIED, MeasuredPositions, measure_positions, note_measured
 from agent.results.decision_kinds import CONFIRMED

@@ -11,10 +11,10 @@ import numpy as np
 from agent.errors import MeasurementFault
 from agent.files import translated
 from agent.planning.job import Job
-from agent.probing.position import MeasuredBall
+from agent.probing.measured_balls import Correction, MeasuredBall, no_correction, observations_of
 from agent.results.night_changes import possible_text
 from agent.results.night_gate import night_text
-from agent.results.observations import Correction, ReferenceArtefact, certified_balls, no_correction, observations_of
+from agent.results.observations import ReferenceArtefact, certified_balls
 from agent.results.run_outcome import Decision, NightReport, SuspectedError
 from agent.runs.change_since_reference import prior_tonight
 from agent.runs.reference_state import ReferenceState

@@ -18,12 +18,13 @@ from agent.execution.steps import Conclude, Enter, Fork, Plan, Point, ProvePlan,
 from agent.files import translated
 from agent.planning.job import Job
 from agent.planning.preflight import PreflightResult, run_preflight
+from agent.probing.measured_balls import observations_of
 from agent.probing.publish import ActiveCompensation
 from agent.probing.repeated_positions import join_measured
 from agent.probing.run_plan import MEASURED, MeasuredPositions, measure_positions, note_measured
 from agent.results.estimation import EstimationResult, estimate_in_run
 from agent.results.gates import Gate, change_gate, estimate_gates, proof_gate, shape_gates
-from agent.results.observations import balls_for_estimate, observations_of
+from agent.results.observations import balls_for_estimate
 from agent.results.run_outcome import Decision, NightReport, Proof, no_gain_text
 from agent.results.table_replacement import ExpectedGain
 from agent.runs.change_since_reference import change_since, fit_of_night

@@ -10,11 +10,11 @@ from agent.execution.states import RunState
 from agent.execution.steps import Conclude, Enter, Plan, RunPlan, known
 from agent.planning.job import Job
 from agent.probing import publish
+from agent.probing.measured_balls import Correction, no_correction
 from agent.probing.position import PositionRules
 from agent.probing.preparation import PreparationResult
 from agent.probing.publish import ActiveCompensation
 from agent.results.journal_entries import record_probe
-from agent.results.observations import Correction, no_correction
 from agent.results.table_image import table_of
 from drivers.roles import Activation, TableImage
 

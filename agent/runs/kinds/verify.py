@@ -14,9 +14,9 @@ from agent.execution.journal import RunJournal
 from agent.execution.states import RunState
 from agent.execution.steps import Conclude, Enter, Fork, Plan, RunPlan
 from agent.planning.job import Job
+from agent.probing.measured_balls import Correction
 from agent.probing.publish import ActiveCompensation
 from agent.probing.run_plan import MEASURED, MeasuredPositions, measure_positions, note_measured
-from agent.results.observations import Correction
 from agent.results.run_outcome import NightReport
 from agent.runs.kinds.calibrate import nights_since
 from agent.runs.kinds.drift_check import Judge, Judgement

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from agent.probing.ball import FittedBall
-from agent.probing.position import MeasuredBall
-from agent.results.observations import no_correction, observations_of, positions_named
+from agent.probing.measured_balls import MeasuredBall, no_correction, observations_of
+from agent.results.observations import positions_named
 from agent.thermal.readings import Conditions
 from twin.errors import PositionError
 
