@@ -17,18 +17,16 @@ from scipy.stats import norm
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
-from twin.identification.normal import PriorPrecision
 from twin.identification.options import Options
 from twin.identification.poses import pose_jacobian
 from twin.identification.problem import build_problem
-from twin.identification.scales import Scales
 from twin.machine.machine_population import Family
 
 POSE_SIGMA_MM = 1.0
 """Standard deviation in mm of each pose increment. It is far above the error of any touch, so that the pose is free in
 effect, and low enough to keep the covariance well conditioned."""
-NORMAL_MEDIAN = float(norm.ppf(0.75))
-"""Median of the absolute value of a standard normal variable."""
+MACHINE_SCALES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+"""Factors by which the errors of the machine may exceed the prior of its family."""
 LEAST_LEFT = 4
 """Number of balls that must remain when inconsistent balls are left out: one more than a pose needs."""
 
@@ -69,18 +67,23 @@ class TouchConsistency:
 
         With the covariance K of all touches and their deviations r from the artefact at its nominal shape, the
         deviation of touch i from its prediction is (K⁻¹r)ᵢ / (K⁻¹)ᵢᵢ, with the variance 1 / (K⁻¹)ᵢᵢ (Rasmussen and
-        Williams 2006, section 5.4.2). If the touches of the whole position deviate more than the prior allows, the
-        standardised deviations are divided by their robust standard deviation, because the machine is worse than
-        its family then and not every touch is wrong.
+        Williams 2006, section 5.4.2).
+
+        The errors of the machine have that multiple of their prior standard deviations in `MACHINE_SCALES` that makes
+        the touches most likely, so that a machine that is worse than its family is not taken for wrong touches. The
+        touches of the ball that deviates most are left out for this choice, because they may be wrong.
         """
-        residuals, covariance = self._touches(seen)
-        factor = cho_factor(covariance, lower=True)
-        weighted = cho_solve(factor, residuals)
-        information = np.diagonal(cho_solve(factor, np.eye(len(residuals))))
-        deviations, standardised = weighted / information, weighted / np.sqrt(information)
-        spread = float(np.median(np.abs(standardised))) / NORMAL_MEDIAN
+        residuals, machine, beside = self._touches(seen)
         shape = (seen.size, len(self.directions))
-        return deviations.reshape(shape), (standardised / max(1.0, spread)).reshape(shape)
+        worst = np.abs(_deviations(residuals, machine + beside)[1]).reshape(shape).max(axis=1).argmax()
+        kept = np.flatnonzero(np.repeat(np.arange(seen.size) != worst, len(self.directions)))
+        without = np.ix_(kept, kept)
+        scale = max(
+            MACHINE_SCALES,
+            key=lambda scale: _log_likelihood(residuals[kept], scale**2 * machine[without] + beside[without]),
+        )
+        deviations, standardised = _deviations(residuals, scale**2 * machine + beside)
+        return deviations.reshape(shape), standardised.reshape(shape)
 
     def inconsistent(self, seen: Observations) -> tuple[InconsistentTouch, ...]:
         """Return the worst touch of each of the measured balls of one position that do not fit the others, the worst
@@ -101,18 +104,36 @@ class TouchConsistency:
             left = np.delete(left, place)
         return tuple(found)
 
-    def _touches(self, seen: Observations) -> tuple[Array, Array]:
-        """Return the deviations (n·k,) of the touches from the nominal shape at the best pose, in mm, and their
-        covariance (n·k, n·k) with the pose free."""
+    def _touches(self, seen: Observations) -> tuple[Array, Array, Array]:
+        """Return the deviations (n·k,) of the touches from the nominal shape at the best pose, in mm, and two parts of
+        their covariance (n·k, n·k): that of the errors of the machine, and that of noise, artefact and free pose."""
         problem = build_problem(self.family, seen, self.artefact, self.options)
-        layout = problem.layout
-        left, local = problem.sides(np.zeros(problem.blocks.size))
+        layout, blocks = problem.layout, problem.blocks
+        left, local = problem.sides(np.zeros(blocks.size))
         residuals = left - problem.poses.to_workpiece(layout, local)
-        effects = layout.unpad(problem.design).reshape(3 * seen.size, -1)
-        moves = layout.unpad(pose_jacobian(layout, problem.poses, problem.local, problem.arms))
-        prior = np.linalg.inv(PriorPrecision(problem.blocks, problem.known).matrix(Scales()))
-        pose = POSE_SIGMA_MM * moves.reshape(3 * seen.size, -1)
-        centres = effects @ prior @ effects.T + pose @ pose.T + block_diag(*seen.covariance)
         # Touch along d: the deviation of the surface along d is d·r of the centre.
         touched = np.kron(np.eye(seen.size), self.directions)
-        return touched @ residuals.reshape(-1), touched @ centres @ touched.T
+        effects = touched @ layout.unpad(problem.design).reshape(3 * seen.size, -1)
+        moves = layout.unpad(pose_jacobian(layout, problem.poses, problem.local, problem.arms))
+        pose = POSE_SIGMA_MM * touched @ moves.reshape(3 * seen.size, -1)
+        of_machine = np.zeros(blocks.size, dtype=bool)
+        of_machine[blocks.parameters] = of_machine[blocks.misfit] = True
+        machine, artefact = effects[:, of_machine], effects[:, ~of_machine]
+        noise = touched @ block_diag(*seen.covariance) @ touched.T
+        return touched @ residuals.reshape(-1), machine @ machine.T, artefact @ artefact.T + pose @ pose.T + noise
+
+
+def _deviations(residuals: Array, covariance: Array) -> tuple[Array, Array]:
+    """Return the deviations (m,) of `residuals` (m,) from their predictions by all others, and the same in units of
+    their standard deviations."""
+    factor = cho_factor(covariance, lower=True)
+    weighted = cho_solve(factor, residuals)
+    information = np.diagonal(cho_solve(factor, np.eye(len(residuals))))
+    return weighted / information, weighted / np.sqrt(information)
+
+
+def _log_likelihood(residuals: Array, covariance: Array) -> float:
+    """Return the logarithm of the normal density of `residuals` (m,) with `covariance` (m, m), without its constant."""
+    factor, lower = cho_factor(covariance, lower=True)
+    square = float(residuals @ cho_solve((factor, lower), residuals))
+    return -0.5 * square - float(np.log(np.diagonal(factor)).sum())
