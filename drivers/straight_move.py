@@ -42,6 +42,30 @@ def move_duration_s(
     return length_mm / speed + speed / acceleration
 
 
+def touch_duration_s(
+    start_mm: Sequence[float],
+    trip_mm: Sequence[float],
+    *,
+    feed_mm_per_s: float,
+    rapid_mm_per_s: Sequence[float],
+    acceleration_mm_per_s2: Sequence[float],
+) -> float:
+    """Return the duration in s of a touch that starts at `start_mm`, trips at `trip_mm` and brakes to a standstill.
+
+    The axes accelerate to the feed, unless the probe trips earlier, and no axis exceeds its own limits.
+    """
+    deltas = [abs(end - begin) for begin, end in zip(start_mm, trip_mm, strict=True)]
+    length_mm = math.sqrt(sum(delta * delta for delta in deltas))
+    if length_mm == 0.0:
+        return 0.0
+    components = [delta / length_mm for delta in deltas]
+    acceleration = limit_along_direction(components, acceleration_mm_per_s2)
+    speed = min(feed_mm_per_s, limit_along_direction(components, rapid_mm_per_s))
+    # Reached within the path: v² = 2as. The ramp up takes v/a, the rest s/v - v/(2a), and braking v/a.
+    speed = min(speed, math.sqrt(2.0 * acceleration * length_mm))
+    return length_mm / speed + 1.5 * speed / acceleration
+
+
 def distance_to_segment_mm(point_mm: Vector, start_mm: Vector, end_mm: Vector) -> float:
     """Return the distance in mm of a point from the line segment between two other points, each of shape (3,)."""
     along = end_mm - start_mm

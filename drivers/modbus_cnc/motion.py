@@ -30,7 +30,7 @@ from drivers.modbus_cnc.session import ModbusSession
 from drivers.motion_deadline import MotionDeadline
 from drivers.reached_position import require_reached
 from drivers.roles import AxisLimits, MotionState
-from drivers.straight_move import move_duration_s
+from drivers.straight_move import move_duration_s, touch_duration_s
 
 COARSEST_FINE_POLL_S = 0.1
 END_MARGIN_S = 0.001
@@ -62,6 +62,7 @@ class ModbusMotion:
         self._session = session
         self._limits = limits
         self._braking = False
+        self._trips_mm: dict[float, float] = {}
         self.tag = 0
         """Tag of the step to which the motions belong. It is sent in the CRC field, which motions do not use."""
 
@@ -91,6 +92,8 @@ class ModbusMotion:
             raise self._protocol_error(f"started motion {sequence}, but motion {status.motion_sequence} ended")
         self._require_success(code, status)
         self._require_reached(code, target, status)
+        if status.outcome is MotionOutcome.TRIPPED:
+            self._trips_mm[_rounded_length(accepted.position, target)] = math.dist(accepted.position, status.latched)
         return ModbusMotionResult(accepted.position, status)
 
     def _start(self, code: CommandCode, target: Triple, feed_mm_per_s: float | None) -> tuple[int, StatusImage]:
@@ -169,7 +172,8 @@ class ModbusMotion:
         slice_s = self._slice_s(
             settings.touch_poll_interval_s if code is CommandCode.TOUCH else settings.poll_interval_s
         )
-        end_s = clock.now() + predicted_s + END_MARGIN_S
+        expected_s = self._expected_s(code, status.position, target, feed_mm_per_s, predicted_s)
+        end_s = clock.now() + expected_s + END_MARGIN_S
         deadline = MotionDeadline(
             clock,
             target,
@@ -213,6 +217,26 @@ class ModbusMotion:
             rapid_mm_per_s=self._limits.rapid_mm_per_s,
             acceleration_mm_per_s2=self._limits.acceleration_mm_per_s2,
         )
+
+    def _expected_s(
+        self, code: CommandCode, start: Triple, target: Triple, feed_mm_per_s: float | None, predicted_s: float
+    ) -> float:
+        """Return the time in s after which the motion is expected to end: for a touch, the time in which the probe
+        trips after the same distance as in the last touch of this length. Balls are found where they are expected to
+        hundredths of a millimetre, so that the first poll then mostly shows the end."""
+        trip_mm = self._trips_mm.get(_rounded_length(start, target))
+        if code is not CommandCode.TOUCH or trip_mm is None or feed_mm_per_s is None:
+            return predicted_s
+        share = trip_mm / math.dist(start, target)
+        trip = [begin + share * (end - begin) for begin, end in zip(start, target, strict=True)]
+        expected_s = touch_duration_s(
+            start,
+            trip,
+            feed_mm_per_s=feed_mm_per_s,
+            rapid_mm_per_s=self._limits.rapid_mm_per_s,
+            acceleration_mm_per_s2=self._limits.acceleration_mm_per_s2,
+        )
+        return min(expected_s, predicted_s)
 
     def _require_resumed(self, held_deadline: Deadline) -> None:
         if held_deadline.expired:
@@ -280,6 +304,11 @@ class ModbusMotion:
 
 def _is_under_way(status: StatusImage) -> bool:
     return status.outcome is MotionOutcome.UNDER_WAY and status.state is not MotionState.FAULT
+
+
+def _rounded_length(start: Triple, target: Triple) -> float:
+    """Return the length of a path in mm, rounded to 0.1 mm: touches with the same search distances have the same."""
+    return round(math.dist(start, target), 1)
 
 
 def _equal_slice_s(remaining_s: float, slice_s: float) -> float:

@@ -26,6 +26,7 @@ from agent.probing.run_plan import MeasuredPositions, MeasuringOrder, measure_po
 from agent.runs.kinds.calibrate import preflight_of
 from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
+from drivers.errors import ConfigurationError
 from drivers.roles import Miss, Touch
 from simulators.backend import SimulatedMachineDevice
 from twin.artefact.position_set import Position
@@ -229,6 +230,79 @@ def test_a_crumb_is_noticed_named_and_cleaned_up(state: Path) -> None:
     assert "3" in gates[0]["then"]
     off = machine.off_um(measured)
     assert np.abs(off - off.mean(axis=0)).max() < 4.5
+
+
+class DirtyBall(DirtyOnce):
+    """A probe that trips 60 µm early at every sideways touch, or only at the first one, of the ball at the axis
+    positions `centre_mm`: a particle sticks to it."""
+
+    def __init__(self, probe: Any, centre_mm: np.ndarray, *, wiped_away: bool) -> None:
+        super().__init__(probe, set())
+        self._centre_mm = centre_mm
+        self._wiped_away = wiped_away
+        self._wiped = False
+
+    def touch_towards(self, target_mm: np.ndarray, *, feed_mm_per_s: float) -> Touch | Miss:
+        here = np.linalg.norm(target_mm - self._centre_mm) < 20.0
+        sideways = abs((target_mm - self._centre_mm)[1]) < 1.0
+        self._dirty = {self._count + 1} if here and sideways and not self._wiped else set()
+        self._wiped = self._wiped or (bool(self._dirty) and self._wiped_away)
+        return super().touch_towards(target_mm, feed_mm_per_s=feed_mm_per_s)
+
+
+THREE_TOUCHES = {"touches_per_ball": 3, "approach_mm": 1.5, "touch_feed_mm_per_min": 480.0}
+
+
+def with_dirty_ball(state: Path, *, wiped_away: bool, **procedure: object) -> tuple[Bench, PreparationResult]:
+    trigger = {"pretravel_um": 8.0, "lobing_um": 0.5, "touch_sigma_um": 1.0}
+    machine = bench(state, trigger, procedure={**THREE_TOUCHES, **procedure})
+    prepared = machine.prepared()
+    machine.seen.clear()
+    centre_mm = machine.job.layout.nominal(POSITIONS[0])[4]
+    machine.rig = dataclasses.replace(machine.rig, probe=DirtyBall(machine.device, centre_mm, wiped_away=wiped_away))
+    return machine, prepared
+
+
+def test_a_wrong_touch_of_three_is_found_by_the_other_balls_and_repeated_before_the_position_is_left(
+    state: Path,
+) -> None:
+    machine, prepared = with_dirty_ball(state, wiped_away=True)
+    measured = machine.measured(prepared, POSITIONS[:1])
+    assert [one.lost for one in measured.positions] == [0]
+    assert measured.positions[0].touches == 5 + 13 * 3  # located; 11 balls, ball 4 once more, the first ball again
+    (event,) = [event for event in machine.events if event.get("then") == "repeat the ball"]
+    assert event["ball"] == 4
+    assert "predict, allowed" in event["reason"]
+    turned = [number for number, (step, _) in enumerate(machine.seen) if isinstance(step, s.OrientTo)]
+    repeated = [number for number, (step, _) in enumerate(machine.seen) if "/once-more" in step.key]
+    assert len(turned) == 1
+    assert turned[0] < min(repeated)
+    off = machine.off_um(measured)
+    assert np.abs(off - off.mean(axis=0)).max() < 5.0
+    rows = [step.payload for step, _ in machine.seen if isinstance(step, s.Record) and step.kind == "ball"]
+    assert sorted(row["ball"] for row in rows) == list(range(11))
+    assert all(row["radius_mm"] is None and row["form_mm"] is None for row in rows)
+
+
+def test_a_particle_that_stays_costs_the_ball_not_the_position(state: Path) -> None:
+    machine, prepared = with_dirty_ball(state, wiped_away=False)
+    (position,) = machine.measured(prepared, POSITIONS[:1]).positions
+    assert position.ball_numbers.count(4) == 0
+    assert (len(position.balls), position.lost) == (10, 1)
+    (lost,) = [event for event in machine.events if event.get("ball") == 4 and "then" not in event]
+    assert "beside the place that the other balls" in lost["reason"]
+
+
+def test_a_particle_that_stays_ends_a_run_that_is_to_stop(state: Path) -> None:
+    machine, prepared = with_dirty_ball(state, wiped_away=False, on_failure="stop")
+    with pytest.raises(MeasurementFault, match=r"ball 4 does not fit the other balls of its position: touch [12] is "):
+        machine.measured(prepared, POSITIONS[:1])
+
+
+def test_three_touches_without_a_qualified_radius_are_refused(state: Path) -> None:
+    with pytest.raises(ConfigurationError, match="3 touches do not determine the radius") as refused:
+        bench(state, {}, procedure=THREE_TOUCHES, qualification={"enabled": False})
+    assert refused.value.where["key"] == "procedure.touches_per_ball"
 
 
 def test_a_run_journals_and_reports_what_it_found_of_the_probe(state: Path, monkeypatch: pytest.MonkeyPatch) -> None:
