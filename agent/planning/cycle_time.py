@@ -23,9 +23,8 @@ from agent.probing.paths.shortest_path import ShortestPathPlanner
 from agent.probing.position import PositionTask, measure_position
 from agent.probing.run_plan import MeasuringOrder, measure_positions, position_key
 from twin.arrays import Array
-from twin.artefact.position_set import Position
+from twin.artefact.position_set import MIN_BALLS, Position
 from twin.collision.geometry import Point
-from twin.design.procedure import MIN_BALLS
 from twin.units import S_PER_MIN
 
 T = TypeVar("T")

@@ -26,10 +26,9 @@ from agent.settings.load import POSITION_FILES
 from agent.settings.schema import Settings
 from agent.thermal.rules import drift_limits_of, settling_of
 from drivers.errors import ConfigurationError
-from twin.artefact.position_set import Position, parse_position_set
+from twin.artefact.position_set import MIN_BALLS, Position, parse_position_set
 from twin.collision.locating_balls import depth_in_table_mm, locating_balls
 from twin.collision.probe_frame import ProbeFrame
-from twin.design.procedure import MIN_BALLS
 from twin.errors import TwinError
 
 IN_TABLE_MM = 1.0

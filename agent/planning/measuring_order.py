@@ -22,11 +22,10 @@ from agent.probing.paths.artefact_bodies import ArtefactPose
 from agent.probing.paths.free_paths import FreePathFinder
 from agent.probing.position import PositionRules
 from twin.artefact.pose_alignment import choose_alignment_balls
-from twin.artefact.position_set import Position
+from twin.artefact.position_set import MIN_BALLS, Position
 from twin.collision.geometry import point
 from twin.collision.measuring_layout import MeasuringLayout
 from twin.collision.travelling_salesman import shortest_tour
-from twin.design.procedure import MIN_BALLS
 
 MAX_PERMUTED_STATIONS = 7
 """Largest number of stations whose order is optimised; a larger number is measured in the listed order."""

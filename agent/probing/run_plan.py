@@ -28,10 +28,9 @@ from agent.probing.touch import point
 from agent.thermal.readings import Conditions
 from twin.artefact.artefact import Artefact
 from twin.artefact.mount_pose_estimate import MountPoseEstimate
-from twin.artefact.position_set import Position
+from twin.artefact.position_set import MIN_BALLS, Position
 from twin.collision.locating_balls import top_mm
 from twin.collision.measuring_layout import MeasuringLayout
-from twin.design.procedure import MIN_BALLS
 from twin.identification.checks.measured_shape import reversed_fit_mm
 from twin.units import UM_PER_MM
 
@@ -117,7 +116,7 @@ def measure_positions(
         nominal = layout.nominal(position)
         predicted = mount_pose.transform(nominal)
         mask = layout.reachable(position, predicted)
-        unreachable += int(mask.size - mask.sum())
+        unreachable += layout.asked_balls(position) - int(mask.sum())
         key = f"{order.prefix}/{position_key(position)}"
         if mask.sum() < MIN_BALLS:
             left_out.append(position_key(position))
@@ -160,7 +159,7 @@ def _measure_placed(
     for position in order.positions:
         name = position_key(position)
         mask = layout.reachable(position, layout.nominal(position))
-        unreachable += int(mask.size - mask.sum())
+        unreachable += layout.asked_balls(position) - int(mask.sum())
         if mask.sum() < MIN_BALLS:
             left_out.append(name)
             yield Record(f"{order.prefix}/{name}/left-out", "event", {"reachable_balls": int(mask.sum())})

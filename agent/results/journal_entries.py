@@ -27,9 +27,8 @@ from agent.results.probe_facts import probe_facts
 from agent.results.run_outcome import Outcome
 from drivers.errors import ConfigurationError
 from twin.artefact.artefact import Artefact
-from twin.artefact.position_set import Position
+from twin.artefact.position_set import MIN_BALLS, Position
 from twin.compensation.table_file import checksum, format_table
-from twin.design.procedure import MIN_BALLS
 from twin.units import UM_PER_MM
 
 _NAMED_FILES = ("grid", "covariance_file")

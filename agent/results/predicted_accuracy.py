@@ -18,8 +18,7 @@ from agent.results.observations import ReferenceArtefact
 from drivers.errors import ConfigurationError
 from twin.artefact.held_out_check import held_out_residuals
 from twin.artefact.observations import Observations
-from twin.artefact.position_set import Position
-from twin.design.procedure import MIN_BALLS
+from twin.artefact.position_set import MIN_BALLS, Position
 from twin.identification import Estimate, Options, identify, predicted_vce, residual_covariance
 from twin.machine.volumetric import VolumetricRms, evaluation_grid
 from twin.units import UM_PER_MM

@@ -7,7 +7,7 @@ are 0, the bar is parallel to X, and its holders point along -Y towards the appr
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 from twin.arrays import Array
 from twin.artefact.mount_geometry import MountGeometry
 from twin.errors import DataError, TwinError
+
+MIN_BALLS = 3
+"""Minimum number of balls per position. Fewer balls give no information, since the pose has six unknowns."""
 
 SPACE_DIAGONAL_DEG = 35.264
 """Elevation in degrees of the space diagonal of a cube, atan(1/√2)."""
@@ -34,15 +37,26 @@ class Position:
     """Orientation of the artefact at one station, and the name of the tool for its measurement. Stations are counted
     from 1.
 
-    If the tool is None, the tool of the run is used.
+    If the tool is None, the tool of the run is used. `balls` are the numbers of the balls that are measured, counted
+    from 0; it is None if all balls within reach are measured. Positions that differ only in their balls are equal.
     """
 
     station: int
     azimuth_deg: float
     elevation_deg: float
     tool: str | None = None
+    balls: tuple[int, ...] | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
+        if self.balls is not None and (
+            len(self.balls) < MIN_BALLS or self.balls != tuple(sorted({ball for ball in self.balls if ball >= 0}))
+        ):
+            raise DataError(
+                f"the balls {' '.join(map(str, self.balls))} are not at least {MIN_BALLS} different numbers from 0, "
+                "in rising order",
+                hint="fewer balls do not determine the pose of the artefact",
+                station=self.station,
+            )
         if self.station < 1:
             raise DataError(f"stations count from 1, got {self.station}")
         if not (abs(self.azimuth_deg) <= 180.0 and abs(self.elevation_deg) <= 90.0):

@@ -116,12 +116,19 @@ class MeasuringLayout:
 
     def reachable(self, position: Position, predicted: Array) -> Mask:
         """Return a boolean array with one element per ball of the artefact in `position`. An element is True if its
-        ball is accessible to the probe and the predicted axis position of the ball is within the travel.
+        ball is to be measured, is accessible to the probe, and its predicted axis position is within the travel.
 
         `predicted` (N, 3) contains the predicted axis positions of the N balls in mm.
         """
         inside = is_reachable(predicted, self.lower_mm, self.upper_mm, np.zeros(3))
-        return np.logical_and(inside, self.accessible(position))
+        within_reach = np.logical_and(inside, self.accessible(position))
+        if position.balls is not None:
+            within_reach &= np.isin(np.arange(len(within_reach)), position.balls)
+        return within_reach
+
+    def asked_balls(self, position: Position) -> int:
+        """Return the number of balls that are to be measured in `position`, within reach or not."""
+        return self.artefact_at(position.station).count if position.balls is None else len(position.balls)
 
     def accessible(self, position: Position) -> Mask:
         """Return a boolean array with one element per ball of the artefact in `position`. An element is True if no body

@@ -13,14 +13,11 @@ from numpy.typing import NDArray
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
-from twin.artefact.position_set import Position
+from twin.artefact.position_set import MIN_BALLS, Position
 from twin.collision.measuring_layout import MeasuringLayout
 from twin.errors import DataError
 
 IndexArray = NDArray[np.intp]
-
-MIN_BALLS = 3
-"""Minimum number of balls per position. Fewer balls give no information, since the pose has six unknowns."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +91,7 @@ class Procedure:
         unreachable = 0
         for position in positions:
             balls, nominal_positions = self.balls_of(position)
-            unreachable += self.layout(position.tool).artefact_at(position.station).count - len(balls)
+            unreachable += self.layout(position.tool).asked_balls(position) - len(balls)
             if len(balls) < MIN_BALLS:
                 left_out.append(position)
                 continue

@@ -2,7 +2,8 @@
 position, in measuring order.
 
 A column `tool` is needed if several tools are used. An empty cell in this column means the tool named in the settings
-of the run. Lines of a CSV file that begin with ``#`` are comments.
+of the run. A column `balls` lists the numbers of the balls that are measured, counted from 0 and separated by spaces;
+an empty cell means all balls within reach. Lines of a CSV file that begin with ``#`` are comments.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ from twin.errors import DataError, FormatError
 from twin.formats.toml_reading import StrictModel, read_toml
 
 COLUMNS = ("station", "azimuth_deg", "elevation_deg")
-TOOL = "tool"
+TOOL, BALLS = "tool", "balls"
+_LONGEST_NUMBER = 6
+_OPTIONAL = (TOOL, BALLS)
 
 
 class _PositionRow(StrictModel):
@@ -25,6 +28,7 @@ class _PositionRow(StrictModel):
     azimuth_deg: float
     elevation_deg: float
     tool: str | None = None
+    balls: tuple[int, ...] | None = None
 
 
 class _PositionDocument(StrictModel):
@@ -57,8 +61,12 @@ def _from_csv(text: str, source: str) -> list[tuple[int, Position]]:
     rows = enumerate(csv.reader(io.StringIO(text)), start=1)
     first, *lines = [(row, cells) for row, cells in rows if not _is_comment(cells)] or [(1, [])]
     header = [name.strip() for name in first[1]]
-    if sorted(header) not in (sorted(COLUMNS), sorted((*COLUMNS, TOOL))):
-        hint = f"The first line after comments must be {','.join(COLUMNS)}, with {TOOL} if several tools are used"
+    required = [name for name in header if name not in _OPTIONAL]
+    if sorted(required) != sorted(COLUMNS) or len(set(header)) < len(header):
+        hint = (
+            f"The first line after comments must be {','.join(COLUMNS)}, with {TOOL} if several tools are used and "
+            f"{BALLS} if not all balls are measured"
+        )
         raise FormatError(f"columns are {','.join(header) or 'missing'}", hint=hint, file=source, row=first[0])
     return [
         (row, _position(dict(zip(header, cells, strict=False)), source, row))
@@ -74,14 +82,16 @@ def _is_comment(cells: list[str]) -> bool:
 def format_positions(positions: Iterable[Position], comment: str = "") -> str:
     """Return `positions` as CSV text that `parse_positions` reads. If `comment` is given, it is the first line."""
     listed = list(positions)
-    columns = (*COLUMNS, TOOL) if any(p.tool for p in listed) else COLUMNS
+    used = {TOOL: any(p.tool for p in listed), BALLS: any(p.balls for p in listed)}
+    columns = (*COLUMNS, *(name for name in _OPTIONAL if used[name]))
     text = io.StringIO()
     text.write(f"# {' '.join(comment.split())}\n" if comment else "")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
     for p in listed:
-        cells = (p.station, f"{p.azimuth_deg:.10g}", f"{p.elevation_deg:.10g}", p.tool or "")
-        writer.writerow(cells[: len(columns)])
+        optional = {TOOL: p.tool or "", BALLS: " ".join(map(str, p.balls or ()))}
+        cells = (p.station, f"{p.azimuth_deg:.10g}", f"{p.elevation_deg:.10g}")
+        writer.writerow((*cells, *(optional[name] for name in columns[len(cells) :])))
     return text.getvalue()
 
 
@@ -91,9 +101,18 @@ def _position(cells: dict[str, str], source: str, row: int) -> Position:
         raise FormatError(f"station {station} is not a whole number", file=source, row=row, column="station")
     azimuth, elevation = (_number(cells, name, source, row) for name in COLUMNS[1:])
     try:
-        return Position(int(station), azimuth, elevation, cells.get(TOOL, "").strip() or None)
+        tool, balls = cells.get(TOOL, "").strip() or None, _balls(cells, source, row)
+        return Position(int(station), azimuth, elevation, tool, balls)
     except DataError as error:
         raise FormatError(error.message, hint=error.hint, file=source, row=row) from None
+
+
+def _balls(cells: dict[str, str], source: str, row: int) -> tuple[int, ...] | None:
+    listed = cells.get(BALLS, "").split()
+    if not all(ball.isascii() and ball.isdecimal() and len(ball) <= _LONGEST_NUMBER for ball in listed):
+        text = " ".join(listed)[:40]
+        raise FormatError(f"'{text}' are not numbers of balls", file=source, row=row, column=BALLS)
+    return tuple(map(int, listed)) or None
 
 
 def _number(cells: dict[str, str], column: str, source: str, row: int) -> float:

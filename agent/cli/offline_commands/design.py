@@ -78,6 +78,7 @@ def _minutes(_: click.Context, __: click.Parameter, text: str | None) -> float |
 @click.option("--touches", callback=_listed(int), metavar="5,9", help="Numbers of touches per ball to choose from.")
 @click.option("--balls", callback=_listed(int), metavar="5,7,11", help="Numbers of balls to choose from.")
 @click.option("--theta-deg", callback=_listed(float), metavar="0,15,30", help="Tilts of the holders to choose from.")
+@click.option("--choose-balls", is_flag=True, help="Also choose how many balls of each position are measured.")
 @click.option("--verify-set", is_flag=True, help="Also choose held-out positions for the verification.")
 @click.option("--out", type=PATH, default=Path("design.csv"), show_default=True, metavar="FILE.csv")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end.")
@@ -96,6 +97,7 @@ def design_command(
     touches: list[int],
     balls: list[int],
     theta_deg: list[float],
+    choose_balls: bool,
     verify_set: bool,
     out: Path,
     as_json: bool,
@@ -116,6 +118,7 @@ def design_command(
                 goal,
                 grid_deg,
                 calibration_of,
+                ball_choices=choose_balls,
                 verify=verify_set,
                 prove=preflight_of,
                 say=lambda what: status.update(f"{what} …"),
@@ -161,6 +164,7 @@ def _as_json(position: Position) -> dict[str, object]:
         "azimuth_deg": position.azimuth_deg,
         "elevation_deg": position.elevation_deg,
         "tool": position.tool,
+        "balls": None if position.balls is None else list(position.balls),
     }
 
 

@@ -20,10 +20,9 @@ from agent.planning.new_machine.station_setup import (
 from drivers.errors import InputError
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
-from twin.artefact.position_set import Pose, Position
+from twin.artefact.position_set import MIN_BALLS, Pose, Position
 from twin.collision.bodies import artefact_bodies
 from twin.collision.probe_frame import VERTICAL
-from twin.design.procedure import MIN_BALLS
 
 MOST_PLACES = 2
 """Places side by side on the table: a person puts the artefact down in each position."""

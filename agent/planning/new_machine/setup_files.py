@@ -26,8 +26,7 @@ from agent.planning.new_machine.station_setup import positions_of, station_axis
 from agent.settings.load import load_settings
 from agent.settings.simulator_command import SCENARIO_FILE
 from drivers.errors import ConfigurationError, InputError
-from twin.artefact.position_set import Position
-from twin.design.procedure import MIN_BALLS
+from twin.artefact.position_set import MIN_BALLS, Position
 from twin.formats.position_set_file import format_positions
 from twin.machine.kinematic_chain import AXES
 

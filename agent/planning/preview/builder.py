@@ -15,10 +15,9 @@ from agent.planning.preview.refusal import refusal_of
 from agent.planning.preview.scene import ArtefactPlacement, PathPoint, Preview, Refusal, Visit
 from agent.planning.preview.tip_path import Waypoint, walk_waypoints
 from agent.probing.run_plan import position_key
-from twin.artefact.position_set import Position
+from twin.artefact.position_set import MIN_BALLS, Position
 from twin.collision.bodies import TABLE
 from twin.collision.geometry import Box, point
-from twin.design.procedure import MIN_BALLS
 
 MARGIN_MM = 200.0
 """Margin of the drawn part of the table around the bodies on it."""

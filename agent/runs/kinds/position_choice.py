@@ -16,10 +16,9 @@ from agent.planning.held_out_positions import held_out_grid
 from agent.planning.job import Job
 from drivers.errors import ConfigurationError
 from twin.arrays import Array
-from twin.artefact.position_set import Position
+from twin.artefact.position_set import MIN_BALLS, Position
 from twin.design.candidates import build_candidates, orientation_grid
 from twin.design.measuring_cost import MeasuringCosts
-from twin.design.procedure import MIN_BALLS
 from twin.design.search import ExchangeSearch, Selection
 from twin.identification import CarriedOverPrior, Options
 from twin.identification.jump import SuspectedJump

@@ -25,9 +25,8 @@ from agent.runs.kinds.position_choice import PositionChooser
 from agent.settings.load import load_settings
 from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError
-from twin.artefact.position_set import Position
+from twin.artefact.position_set import MIN_BALLS, Position
 from twin.compensation.table import MeasuredRegion
-from twin.design.procedure import MIN_BALLS
 
 IN_THE_MIDDLE = [(30.0, 30.0), (-30.0, -30.0)]
 

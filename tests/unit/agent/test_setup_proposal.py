@@ -36,7 +36,7 @@ from agent.settings.load import load_settings
 from agent.settings.simulator_command import SCENARIO_FILE
 from drivers.errors import InputError
 from simulators.scenario import read_scenario
-from twin.design.procedure import MIN_BALLS
+from twin.artefact.position_set import MIN_BALLS
 from twin.errors import DataError
 
 SIZES: list[Triple] = [
