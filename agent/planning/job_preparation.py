@@ -77,6 +77,7 @@ def prepare_job(settings: Settings, base: Path) -> Job:
             station_change(settings.roles, settings.stations),
             hand_placement(settings),
             ball_consistency(settings, machine, layout, probing),
+            settings.procedure.repeat_first_ball,
         ),
         gate_limits=settings.gates,
     )

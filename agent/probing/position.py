@@ -56,14 +56,16 @@ class MeasuredPosition:
     """Result of the measurement of one position.
 
     `lost` is the number of balls that could not be measured. `again` is the repeated measurement of the position's
-    first ball; it is None if that ball was lost in the repetition. `drift_mm` (3,) is the displacement of the first
-    ball between its two measurements; it is NaN if the ball was lost in the repetition.
+    first ball; it is None if that ball was not repeated or was lost in the repetition. `drift_mm` (3,) is the
+    displacement of the first ball between its two measurements; it is NaN without a repetition. `last_mm` (3,) contains
+    the axis positions of the centre of the ball at which the probe was last.
     """
 
     balls: tuple[MeasuredBall, ...]
     lost: int
     touches: int
     drift_mm: Array
+    last_mm: Array
     again: MeasuredBall | None = None
 
     @property
@@ -86,7 +88,9 @@ class MeasuredPosition:
 class PositionRules:
     """Rules of the measurement of a position. `placement` has the rules for an artefact that is placed by hand; it is
     None if a mount holds the artefact. `consistency` checks balls that are touched too few times for a form error of
-    their own against the other balls of the position; it is None if every ball is checked on its own."""
+    their own against the other balls of the position; it is None if every ball is checked on its own.
+    `repeat_first_ball` is True if the first ball is measured again at the end, which shows a drift within the position.
+    """
 
     probing: ProbingParameters
     retreat: Retreat
@@ -95,6 +99,7 @@ class PositionRules:
     change: StationChange = field(default_factory=StationChange)
     placement: HandPlacement | None = None
     consistency: BallConsistency | None = None
+    repeat_first_ball: bool = True
 
 
 def measure_position(
@@ -134,8 +139,10 @@ def measure_position(
     found_first = yield from measuring.check_consistency(first, found_first)
     drift = yield from measuring.drift(first, found_first, rules.drift)
     if planner is None:
-        yield from own.leave(task.key, found_first.centre_mm)
-    return MeasuredPosition(tuple(measuring.found), measuring.lost, measuring.touches, drift, measuring.again)
+        yield from own.leave(task.key, measuring.last_mm)
+    return MeasuredPosition(
+        tuple(measuring.found), measuring.lost, measuring.touches, drift, measuring.last_mm, measuring.again
+    )
 
 
 class _Measuring:
@@ -149,6 +156,8 @@ class _Measuring:
         self._by_hand = rules.placement is not None
         self._thermometers = rules.settling.thermometers
         self._consistency = rules.consistency
+        self._repeats_first = rules.repeat_first_ball
+        self.last_mm = task.predicted_mm[task.balls[0]]
         self.found: list[MeasuredBall] = []
         self.again: MeasuredBall | None = None
         self.lost = 0
@@ -227,8 +236,9 @@ class _Measuring:
         return f"{self._task.key}/ball-{ball:02d}"
 
     def drift(self, first: int, found: FittedBall, limits: DriftLimits) -> Plan[Array]:
-        """Measure the first ball again; return its apparent displacement (3,) in mm, NaN if it was lost."""
-        if all(ball.ball != first for ball in self.found):
+        """Measure the first ball again; return its apparent displacement (3,) in mm, NaN if it was lost
+        or is not to be repeated."""
+        if not self._repeats_first or all(ball.ball != first for ball in self.found):
             return np.full(3, np.nan)
         key = f"{self._key(first)}/again"
         again = yield from self._approach_and_measure(key, first, found.centre_mm, self._probing.narrow_search)
@@ -251,5 +261,6 @@ class _Measuring:
         yield from self._planner.to_ball(key, predicted)
         result = yield from measure_ball(key, predicted, self._probing, search, self._planner.touch_path(ball))
         self.touches += result.touches
-        yield from self._planner.from_ball(key, result.centre_mm if isinstance(result, FittedBall) else predicted)
+        self.last_mm = result.centre_mm if isinstance(result, FittedBall) else predicted
+        yield from self._planner.from_ball(key, self.last_mm)
         return result

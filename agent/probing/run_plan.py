@@ -104,7 +104,7 @@ def measure_positions(
     for index, position in enumerate(order.positions):
         if position.station != standing_at:
             if entered_key:
-                yield from planner.leave(entered_key, measured_positions[-1].balls[0].found.centre_mm)
+                yield from planner.leave(entered_key, measured_positions[-1].last_mm)
                 entered_key = ""
             here = yield from change_station(
                 order.prefix, rules.change, rules.retreat, here, leaving=standing_at, to=position.station, index=index
@@ -140,7 +140,7 @@ def measure_positions(
         measured_positions.append(measured)
         entered_key = key
     if entered_key:
-        yield from planner.leave(entered_key, measured_positions[-1].balls[0].found.centre_mm)
+        yield from planner.leave(entered_key, measured_positions[-1].last_mm)
     return MeasuredPositions(tuple(measured_positions), tuple(left_out), unreachable, standing_at, mount_poses)
 
 

@@ -123,6 +123,7 @@ class ProcedureSettings(StrictModel):
     touch_limit_um: PositiveFloat = 6.0
     pole_limit_um: PositiveFloat = 10.0
     drift_limit_um: PositiveFloat = 10.0
+    repeat_first_ball: bool = True
     position_false_alarm: float = Field(default=1e-3, gt=0.0, le=0.1)
     repeats: int = Field(default=2, ge=0, le=5)
     on_failure: Literal["stop", "skip"] = "skip"

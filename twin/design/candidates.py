@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -49,13 +48,6 @@ class CandidatePositions:
     @property
     def count(self) -> int:
         return len(self.positions)
-
-    @cached_property
-    def same(self) -> Indices:
-        """Number (N,) that is the same for candidates that differ only in the balls that are measured. Only one of them
-        can be chosen."""
-        numbers: dict[Position, int] = {}
-        return np.array([numbers.setdefault(position, len(numbers)) for position in self.positions])
 
     def covariance(self, chosen: Sequence[int] | Indices) -> Array:
         """Return the posterior covariance (P, P) of the P unknowns z that all positions share, after the `chosen`
@@ -104,21 +96,15 @@ def build_candidates(
     options: Options,
     grid: ArrayLike,
     tool_offset: ArrayLike,
-    *,
-    ball_choices: bool = False,
 ) -> CandidatePositions:
     """Return the candidates of a design: the measurable positions among `positions`. Positions with fewer than three
-    measurable balls are omitted, and so are duplicates: of equal positions, the first is kept. If `ball_choices` is
-    True, the same position with other balls is a candidate of its own.
+    measurable balls are omitted, and so are duplicates: of equal positions, the first is kept.
 
     `grid` (n, 3) in mm and `tool_offset` (3,) in mm define the error field to be minimised. The entries `formulation`
     and `estimate_scales` of `options` have no effect: each ball centre always gives three equations, and the noise, the
     prior and the misfit always have their stated standard deviations. Raise DataError if no position can be measured.
     """
-    different: dict[object, Position] = {}
-    for position in positions:
-        different.setdefault(_order(position) if ball_choices else position, position)
-    planned = procedure.plan(sorted(different.values(), key=_order))
+    planned = procedure.plan(sorted(dict.fromkeys(positions), key=_order))
     problem = build_problem(family, planned.observations, procedure.artefact, options)
     return CandidatePositions(
         positions=planned.positions,
@@ -129,9 +115,8 @@ def build_candidates(
     )
 
 
-def _order(position: Position) -> tuple[int, float, float, str, tuple[int, ...]]:
-    balls = position.balls or ()
-    return position.station, position.azimuth_deg, position.elevation_deg, position.tool or "", balls
+def _order(position: Position) -> tuple[int, float, float, str]:
+    return position.station, position.azimuth_deg, position.elevation_deg, position.tool or ""
 
 
 def _balls(planned: PlannedMeasurement) -> Indices:

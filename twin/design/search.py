@@ -104,7 +104,7 @@ class ExchangeSearch:
             worth = selection.information.gains()
             if per_minute:
                 worth = worth / self.costs.marginal(selection.chosen)
-            best = self._best(worth, room(selection.chosen) & self._free_beside(selection.chosen), 0.0)
+            best = self._best(worth, room(selection.chosen) & selection.free, 0.0)
             if best is None:
                 return
             selection = selection.with_added(best)
@@ -153,16 +153,9 @@ class ExchangeSearch:
         # The gain of the candidate, seen from the selection without the removed position, must exceed the loss by the
         # removal.
         needed = rest.value - selection.value * (1.0 - _MIN_DECREASE)
-        others = [int(kept[other]) for other in rest.chosen]
-        allowed = (room(others) & self._free_beside(others))[kept] & selection.free
+        allowed = room([int(kept[other]) for other in rest.chosen])[kept] & selection.free
         best = self._best(rest.information.gains(), allowed, needed, kept)
         return selection if best is None else rest.with_added(best)
-
-    def _free_beside(self, chosen: Sequence[int]) -> Mask:
-        """Return the mask (N,) of the candidates that can be measured beside the candidates with the indices `chosen`:
-        positions that are not chosen yet, neither with these nor with other balls."""
-        same = self.candidates.same
-        return np.asarray(~np.isin(same, same[list(chosen)]))
 
     def _best(self, worth: Array, allowed: Mask, above: float, kept: Indices | None = None) -> int | None:
         """Return the allowed and measurable candidate with the largest value of `worth`. Return None if no allowed and

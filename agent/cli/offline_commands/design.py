@@ -27,7 +27,7 @@ if will_run():
     from agent.planning.design.design_result import DesignResult, VariantDesign, compare_variants
     from agent.planning.design.pareto_figure import ReferenceSet
     from agent.planning.design.set_valuation import valuation_of
-    from agent.planning.design.variants import variants_of
+    from agent.planning.design.variants import BALL_SHARES, variants_of
     from agent.planning.job import Job
     from agent.planning.run_minutes import run_minutes
     from agent.runs.kinds.calibrate import calibration_of, preflight_of
@@ -78,7 +78,9 @@ def _minutes(_: click.Context, __: click.Parameter, text: str | None) -> float |
 @click.option("--touches", callback=_listed(int), metavar="5,9", help="Numbers of touches per ball to choose from.")
 @click.option("--balls", callback=_listed(int), metavar="5,7,11", help="Numbers of balls to choose from.")
 @click.option("--theta-deg", callback=_listed(float), metavar="0,15,30", help="Tilts of the holders to choose from.")
-@click.option("--choose-balls", is_flag=True, help="Also choose how many balls of each position are measured.")
+@click.option(
+    "--choose-balls", is_flag=True, help="Also choose the share of the balls that is measured in each position."
+)
 @click.option("--verify-set", is_flag=True, help="Also choose held-out positions for the verification.")
 @click.option("--out", type=PATH, default=Path("design.csv"), show_default=True, metavar="FILE.csv")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end.")
@@ -109,7 +111,13 @@ def design_command(
     job = load_case(config, machine=machine, artefact=artefact, stations=stations)
     with naming(config):
         variants = variants_of(
-            job, config.resolve().parent, tools=tools, touches=touches, balls=balls, thetas_deg=theta_deg
+            job,
+            config.resolve().parent,
+            tools=tools,
+            touches=touches,
+            balls=balls,
+            thetas_deg=theta_deg,
+            ball_shares=BALL_SHARES if choose_balls else (1.0,),
         )
         console = Console(stderr=True)
         with console.status("") as status:
@@ -118,7 +126,6 @@ def design_command(
                 goal,
                 grid_deg,
                 calibration_of,
-                ball_choices=choose_balls,
                 verify=verify_set,
                 prove=preflight_of,
                 say=lambda what: status.update(f"{what} …"),
@@ -207,6 +214,7 @@ def _variant(choice: VariantDesign) -> dict[str, object]:
     return {
         "touches_per_ball": choice.variant.touches,
         "artefact_balls": choice.variant.balls,
+        "ball_share": choice.variant.ball_share,
         "theta_deg": choice.variant.theta_deg,
         "best": choice.best,
         "reason": choice.reason,
@@ -256,11 +264,13 @@ def _verification(found: DesignResult) -> str:
 
 
 def _comparison(choices: list[VariantDesign]) -> Table:
-    table = columns_table(("touches", "balls", "θ / °", "positions", "min", "VCE / µm", "valuation / %", ""))
+    table = columns_table(
+        ("touches", "balls", "of them measured", "θ / °", "positions", "min", "VCE / µm", "valuation / %", "")
+    )
     for choice in choices:
         variant, found = choice.variant, choice.design
         theta = "as it is" if variant.theta_deg is None else f"{variant.theta_deg:g}"
-        head = (str(variant.touches), str(variant.balls), theta)
+        head = (str(variant.touches), str(variant.balls), f"{100.0 * variant.ball_share:.0f} %", theta)
         if found is None:
             table.add_row(*head, "", "", "", "", choice.reason)
             continue

@@ -25,10 +25,8 @@ from twin.identification import Options
 from twin.machine.volumetric import evaluation_grid
 from twin.units import S_PER_MIN
 
-BALL_SHARES = (0.35, 0.55)
-"""Shares of the balls within reach that a position may be measured with, beside all of them."""
 LEAST_BALLS = 4
-"""Least number of balls of such a choice: one more than the pose of the artefact needs."""
+"""Least number of balls of a position of which a share is measured: one more than the pose of the artefact needs."""
 
 _TOOL_STRIDE = 10_000  # each tool is a run of its own, so its stations cost carries of their own
 
@@ -39,8 +37,8 @@ class DesignProblem:
     can be measured.
 
     `jobs` maps the name of each tool to the job with that tool; the tool of the settings is the first. `grid_deg` is
-    the spacing of the candidate orientations of the artefact in degrees. If `ball_choices` is True, it is also chosen
-    how many balls of each position are measured. `plan_of` returns the plan of the run for
+    the spacing of the candidate orientations of the artefact in degrees. Of the balls of each
+    position within reach, the share `ball_share` is measured. `plan_of` returns the plan of the run for
     which the positions are chosen; all minutes are those of this plan. `refused` contains the positions that a
     preflight has refused. `feasibility` maps the name of a tool to the feasibility check with that tool; the checks
     remain valid if further positions are refused.
@@ -49,7 +47,7 @@ class DesignProblem:
     jobs: Mapping[str, Job]
     grid_deg: float
     plan_of: Planner
-    ball_choices: bool = False
+    ball_share: float = 1.0
     refused: frozenset[Position] = frozenset()
     feasibility: dict[str, FeasibilityCheck] = field(default_factory=dict, repr=False)
 
@@ -92,15 +90,7 @@ class DesignProblem:
         job = self.job
         grid = evaluation_grid(job.machine.model.ranges_mm)
         offered = [position for position in self._offered() if position not in self.refused]
-        return build_candidates(
-            self.procedure,
-            offered,
-            job.machine.family,
-            self.options,
-            grid,
-            job.tool_offset_mm,
-            ball_choices=self.ball_choices,
-        )
+        return build_candidates(self.procedure, offered, job.machine.family, self.options, grid, job.tool_offset_mm)
 
     @cached_property
     def search(self) -> ExchangeSearch:
@@ -205,18 +195,18 @@ class DesignProblem:
                 for azimuth, elevation in orientation_grid(self.grid_deg):
                     position = Position(station, azimuth, elevation, tool)
                     if replace(position, tool=None) not in held_out:
-                        yield position
-                        if self.ball_choices:
-                            yield from self._with_fewer_balls(name, position)
+                        yield self._with_share(name, position)
 
-    def _with_fewer_balls(self, tool: str, position: Position) -> Iterator[Position]:
-        """Yield `position` with some of its balls within reach, spread over the artefact."""
+    def _with_share(self, tool: str, position: Position) -> Position:
+        """Return `position` with the share of its balls within reach that is to be measured, spread over the artefact.
+        At least `LEAST_BALLS` balls remain."""
         layout = self.jobs[tool].layout
-        within_reach = np.flatnonzero(layout.reachable(position, layout.nominal(position)))
+        within_reach = np.flatnonzero(layout.reachable(position, layout.nominal(position))).tolist()
+        count = max(LEAST_BALLS, round(self.ball_share * len(within_reach)))
+        if count >= len(within_reach):
+            return position
         centres = layout.artefact_at(position.station).balls
-        for count in sorted({round(share * len(within_reach)) for share in BALL_SHARES}):
-            if LEAST_BALLS <= count < len(within_reach):
-                yield replace(position, balls=spread_balls(centres, within_reach.tolist(), count))
+        return replace(position, balls=spread_balls(centres, within_reach, count))
 
 
 def held_out_of(job: Job, positions: Sequence[Position], known: Sequence[Position] = ()) -> HeldOutChoice:

@@ -182,10 +182,7 @@ def _held_out(problem: DesignProblem, candidates: CandidatePositions, chosen: Se
     list none."""
     job = problem.job
     groups: dict[tuple[float, float], list[int]] = {}
-    taken = candidates.same[list(chosen)]
     for index, position in enumerate(candidates.positions):
-        if position.balls is not None or candidates.same[index] in taken:
-            continue
         if position.station in job.verified_stations and position.tool is None and problem.passes(position):
             groups.setdefault((position.azimuth_deg, position.elevation_deg), []).append(index)
     whole = [group for group in groups.values() if len(group) == len(job.verified_stations)]
@@ -241,7 +238,6 @@ def compare_variants(
     grid_deg: float,
     plan_of: Planner,
     *,
-    ball_choices: bool,
     verify: bool,
     prove: Prove,
     say: Say,
@@ -257,7 +253,7 @@ def compare_variants(
     errors: list[UserError] = []
     for variant in variants:
         try:
-            problem = DesignProblem(variant.jobs, grid_deg, plan_of, ball_choices)
+            problem = DesignProblem(variant.jobs, grid_deg, plan_of, variant.ball_share)
             found = find_design(problem, goal, verify=verify, prove=None if variant.made_up else prove, say=say)
             choices.append(VariantDesign(variant, found))
         except UserError as error:

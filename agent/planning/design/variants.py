@@ -1,6 +1,7 @@
 """Measuring variants that differ from the settings in the procedure or the equipment.
 
-A variant may differ in the number of touches per ball, the number of balls, the tilt of the ball holders, or the tools.
+A variant may differ in the number of touches per ball, the number of balls, the share of them that is measured, the
+tilt of the ball holders, or the tools.
 """
 
 from __future__ import annotations
@@ -17,6 +18,9 @@ from agent.planning.job_preparation import prepare_job
 from drivers.errors import ConfigurationError
 from twin.artefact.artefact import Artefact
 
+BALL_SHARES = (1.0, 0.55, 0.45)
+"""Shares of the balls within reach among which a design chooses."""
+
 
 @dataclass(frozen=True, eq=False)
 class Variant:
@@ -25,7 +29,7 @@ class Variant:
     `jobs` maps the name of each tool to the job with that tool. `touches` is the number of touches per ball, and
     `balls` the number of balls. `made_up` is True if an uncalibrated bar with nominal ball centres replaces the
     artefact of the settings. `theta_deg` is the tilt of the ball holders of the nominal bar in degrees; it is None if
-    `made_up` is False.
+    `made_up` is False. `ball_share` is the share of the balls within reach that is measured in each position.
     """
 
     touches: int
@@ -33,6 +37,7 @@ class Variant:
     theta_deg: float | None
     jobs: Mapping[str, Job]
     made_up: bool
+    ball_share: float = 1.0
 
 
 def variants_of(
@@ -43,9 +48,10 @@ def variants_of(
     touches: Sequence[int] = (),
     balls: Sequence[int] = (),
     thetas_deg: Sequence[float] = (),
+    ball_shares: Sequence[float] = (1.0,),
 ) -> list[Variant]:
     """Return the measuring variants for all combinations of the given tools, touches per ball, numbers of balls and
-    tilts of the ball holders.
+    tilts of the ball holders, and shares of the balls that are measured in each position.
 
     If a choice is omitted, the value of `job` is used. Raises ConfigurationError if a tool is unknown, or if the balls
     or the tilt of the artefact cannot be changed.
@@ -61,7 +67,7 @@ def variants_of(
         with translated(ConfigurationError, key="--touches, --balls or --theta-deg"):
             artefact = job.artefact if bar is None else bar.with_(number, theta)
             jobs = {tool: _job(job, base, tool, count, artefact) for tool in tools or [job.settings.tool]}
-        found.append(Variant(count, number, theta, jobs, made_up))
+        found += [Variant(count, number, theta, jobs, made_up, share) for share in ball_shares]
     return found
 
 
