@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from twin.errors import FormatError
-from twin.formats.position_set_file import parse_positions
+from twin.formats.position_set_file import format_positions, parse_positions
 
 
 def test_toml_says_the_same_as_csv() -> None:
@@ -21,3 +21,35 @@ def test_toml_names_file_and_key_of_a_mistake() -> None:
         parse_positions(wrong, "set.toml")
     with pytest.raises(FormatError, match="unknown key 'azimut_deg'"):
         parse_positions(wrong.replace("azimuth_deg", "azimut_deg"), "set.toml")
+
+
+def test_the_balls_of_a_position_are_read_and_written() -> None:
+    text = "station,azimuth_deg,elevation_deg,tool,balls\n1,0,45,,0 3 10\n2,90,-45,long,\n"
+    first, second = parse_positions(text, "set.csv")
+    assert (first.balls, first.tool, second.balls, second.tool) == ((0, 3, 10), None, None, "long")
+    assert format_positions([first, second]) == text
+    toml = "[[positions]]\nstation = 1\nazimuth_deg = 0\nelevation_deg = 45\nballs = [0, 3, 10]\n"
+    assert [one.balls for one in parse_positions(toml, "set.toml")] == [(0, 3, 10)]
+
+
+@pytest.mark.parametrize(
+    ("balls", "words"),
+    [
+        ("0 1", "the balls 0 1 are not at least 3 different numbers"),
+        ("0 5 3", "in rising order"),
+        ("0 3 3", "in rising order"),
+        ("0 3 x", "'0 3 x' are not numbers of balls"),
+        ("0 3 -5", "are not numbers of balls"),
+        ("0 3 ²", "are not numbers of balls"),
+        ("0 3 " + 5000 * "9", "are not numbers of balls"),
+    ],
+)
+def test_balls_that_are_none_are_named_with_their_row(balls: str, words: str) -> None:
+    with pytest.raises(FormatError, match=words) as refused:
+        parse_positions(f"station,azimuth_deg,elevation_deg,balls\n1,0,45,{balls}\n", "set.csv")
+    assert (refused.value.where["file"], refused.value.where["row"]) == ("set.csv", "2")
+
+
+def test_an_orientation_with_other_balls_is_the_same_position() -> None:
+    with pytest.raises(FormatError, match="already listed as number 1"):
+        parse_positions("station,azimuth_deg,elevation_deg,balls\n1,0,45,0 1 2\n1,0,45,3 4 5\n", "set.csv")

@@ -12,6 +12,7 @@ from twin.artefact.touch_pattern import (
     approach_directions,
     centre_covariance,
     centre_shift_per_radius,
+    determines_radius,
     known_radius_covariance,
     redundancies,
     ring_directions,
@@ -32,7 +33,7 @@ def test_directions_are_unit_vectors_towards_the_ball_and_never_from_behind(dire
     assert apart.max() < 0.96
 
 
-@pytest.mark.parametrize("count", [5, 9, 13, 25])
+@pytest.mark.parametrize("count", [3, 5, 9, 13, 25])
 def test_a_pattern_has_the_touches_it_is_named_by(count: int) -> None:
     assert len(approach_directions(count, AXIS)) == count
 
@@ -42,7 +43,16 @@ def test_another_pattern_is_refused() -> None:
         approach_directions(7, AXIS)
 
 
-@pytest.mark.parametrize("directions", PATTERNS, ids=names)
+def test_three_touches_need_the_radius_and_then_give_each_coordinate_the_noise_of_a_touch() -> None:
+    three = approach_directions(3, AXIS)
+    assert three @ three.T == pytest.approx(np.eye(3), abs=1e-12)
+    assert not determines_radius(three)
+    assert known_radius_covariance(three, 1e-3, 0.0) == pytest.approx(1e-6 * np.eye(3), abs=1e-12)
+    with pytest.raises(DataError, match="3 touched points do not determine 4 unknowns"):
+        centre_covariance(three, 1e-3)
+
+
+@pytest.mark.parametrize("directions", PATTERNS[1:], ids=names[1:])
 def test_redundancy_is_what_one_wrong_touch_leaves_of_itself_in_its_residual(directions: np.ndarray) -> None:
     """Push each touch by 1 µm alone and fit (brute force)."""
     shown = []
