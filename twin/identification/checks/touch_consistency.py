@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import block_diag, cho_factor, cho_solve
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
@@ -59,7 +59,7 @@ class TouchConsistency:
 
     def limit(self, balls: int) -> float:
         """Return the limit of the standardised deviations of the touches on `balls` balls (Bonferroni)."""
-        return float(norm.isf(0.5 * self.false_alarm / (balls * len(self.directions))))
+        return -float(ndtri(0.5 * self.false_alarm / (balls * len(self.directions))))
 
     def deviations(self, seen: Observations) -> tuple[Array, Array]:
         """Return two arrays (n, k) for n measured balls of one position: the deviation of each touch in mm from its
