@@ -33,9 +33,12 @@ if will_run():
     from agent.planning.preflight import PreflightResult
     from agent.planning.run_minutes import minutes_by_phase, run_minutes
     from agent.probing.run_plan import position_key
+    from agent.results.facts import Quantity
     from agent.results.gate_forecast import GateForecast, forecast_gates, require_forecast
+    from agent.results.homing_scatter import after_homing_text
     from agent.results.predicted_accuracy import PredictedAccuracy, predict_accuracy
     from agent.runs.kinds.calibrate import calibration_of, preflight_of
+    from agent.runs.last_homing import after_homing
     from agent.runs.last_latencies import last_latencies
     from agent.settings.load import load_settings, naming, with_overrides
     from twin.design.valuation import Valuation
@@ -158,6 +161,7 @@ def _document(
         "parameters": expectation.parameters,
         "predicted_vce_um": expectation.vce.aligned_um,
         "predicted_vce_raw_um": expectation.vce.raw_um,
+        "after_homing": _after_homing(job, expectation),
         "valuation_percent": round(valuation.percent, 2),
         "hidden_step": _hidden_document(job),
         "gates": [forecast.as_json() for forecast in gates],
@@ -184,6 +188,7 @@ def _table(
         *_learned_rows(job, preflight),
         ("rank", f"{expectation.rank} of {expectation.parameters} parameters"),
         ("expected VCE", f"{expectation.vce.aligned_um:.2f} µm aligned"),
+        ("after a homing", after_homing_text(_after_homing(job, expectation))),
         ("valuation", f"{valuation.percent:.1f} % of the volumetric error is expected to be removed"),
         ("change while measuring", _hidden(job)),
         ("preflight took", f"{preflight.wall_seconds:.2f} s for {preflight.commands} steps"),
@@ -199,6 +204,11 @@ def _learned_rows(job: Job, preflight: PreflightResult) -> list[tuple[str, str]]
         return []
     minutes = learned.minutes(job, preflight)
     return [("as the last run waited", f"{minutes:.1f} min, with the latencies of run {learned.run_id}")]
+
+
+def _after_homing(job: Job, expectation: PredictedAccuracy) -> dict[str, object] | None:
+    after = after_homing(job)
+    return None if after is None else after.as_json(Quantity(expectation.vce.aligned_um))
 
 
 def _hidden_document(job: Job) -> dict[str, object] | None:
