@@ -64,6 +64,11 @@ def test_a_trial_measures_the_scatter_of_each_axis_and_leaves_mount_and_store_al
         assert low <= true <= high
         assert low < sigma < high
     assert 0.2 < max(homing.touches_um) < 2.0
+    # the time of the homings is part of the account of the run, and was forecast
+    assert done.outcome.run_time is not None
+    took = done.outcome.run_time.by_phase
+    assert sum(took.values()) == pytest.approx(done.outcome.machine_minutes, rel=0.02)
+    assert took["preparation"] == pytest.approx(done.outcome.run_time.forecast_by_phase["preparation"], rel=0.1)
     stored = read_record(state, done.outcome.run_id).decision(TRIAL)
     assert stored is not None
     assert stored["homing"] == trial.homing.as_json()

@@ -1,5 +1,5 @@
-"""`volcal try --homing` over the simulator's real links: a router on a pseudo-terminal that speaks GRBL, and one on Modbus,
-which has no command for it."""
+"""`volcal try --homing` over the simulator's real links: a router on a pseudo-terminal that speaks GRBL, and one on
+Modbus, which has no command for it."""
 
 from __future__ import annotations
 
