@@ -3,12 +3,15 @@ counted by the runs after it."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from nights import Night, short_document
+from stored_run import stored_run
+from test_hand_placed import document as hand_placed
 from test_try_command import scenario
 
 from agent.errors import PlanRefused
@@ -21,8 +24,11 @@ from agent.results.decision_kinds import OUTCOME, TRIAL
 from agent.runs.kinds.trial import OneBallTrial, with_checks
 from agent.runs.kinds.verify import Verification
 from agent.runs.last_homing import after_homing, last_homing
+from agent.runs.resume.resume import resume
 from agent.runs.session import RunResult
+from agent.runs.unfinished_run import unfinished_run
 from agent.settings.schema import Settings
+from drivers.errors import LinkLost, MotionFault, VolcalError
 from simulators.backend import SimulatedMachineDevice
 from simulators.world.noise import NoiseSource
 
@@ -150,3 +156,70 @@ def test_a_homing_that_would_move_the_probe_into_the_artefact_is_refused(state: 
     assert "Y homes at its upper end, to which the stylus points" in str(done.error)
     assert night.world is not None
     assert night.world.controller.displayed_position() == pytest.approx(night.world.scenario.start_mm)
+
+
+def test_an_artefact_that_was_placed_by_hand_stays_where_it_stands(state: Path) -> None:
+    placed = hand_placed(state)
+    placed["devices"]["twin"]["options"]["axes"] = {"homing_um": SIGMA_UM}
+    night = Night()
+    settings = with_checks(Settings.model_validate(placed)).model_dump()
+    done = night.run(settings, files=False, kind=OneBallTrial(homings=3))
+    assert done.error is None, done.error
+    assert night.world is not None
+    assert night.world.collisions == []
+    assert done.outcome.trial is not None
+    assert done.outcome.trial.homing is not None
+    assert all(
+        low <= true <= high for (low, high), true in zip(done.outcome.trial.homing.limits_um, SIGMA_UM, strict=True)
+    )
+    run = stored_run(state)
+    assert (len(run.steps_of("AskOperator")), len(run.steps_of("HomeAxes"))) == (1, 3)
+
+
+@dataclass
+class Failing:
+    """Homing of a machine that is carried out `good` times and then fails with `error`."""
+
+    good: int
+    error: VolcalError
+    calls: int = 0
+
+    def tamper(self, rig: Rig) -> Rig:
+        device = rig.devices["twin"]
+        assert isinstance(device, SimulatedMachineDevice)
+        home_axes = device.home_axes
+
+        def home() -> None:
+            self.calls += 1
+            if self.calls > self.good:
+                raise self.error
+            home_axes()
+
+        device.home_axes = home  # type: ignore[method-assign]
+        return rig
+
+
+def test_a_homing_that_fails_ends_the_trial_with_the_probe_at_its_safe_place(state: Path) -> None:
+    failing = Failing(1, MotionFault("homing failed: homing found no switch (alarm 9)", hint="check the switches"))
+    night = Night(failing.tamper)
+    done = homed(state, night)
+    assert done.outcome.state is RunState.FAULTED
+    assert "homing found no switch" in str(done.error)
+    assert "step homing/2/home" in str(done.error)
+    assert night.world is not None
+    assert night.world.collisions == []
+    axis = 1  # of the stylus
+    assert night.world.controller.displayed_position()[axis] == night.world.controller.limits().lower_mm[axis]
+    assert last_homing(state, night.world.scenario.machine.name) is None
+
+
+def test_an_interrupted_trial_with_homings_is_not_resumed(state: Path) -> None:
+    night = Night(Failing(1, LinkLost("connection reset", link="127.0.0.1:502")).tamper)
+    assert isinstance(homed(state, night).error, LinkLost)
+    assert unfinished_run(state) is not None
+    assert night.world is not None
+    before = night.world.controller.displayed_position()
+    resumed = resume(state, Night(world=night.world).hooks)
+    assert isinstance(resumed.error, PlanRefused)
+    assert "the axes may have been homed meanwhile" in str(resumed.error)
+    assert night.world.controller.displayed_position() == pytest.approx(before)
