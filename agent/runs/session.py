@@ -188,6 +188,7 @@ class RunSession:
             machine_minutes=planned.preflight.machine_minutes,
             commands=planned.preflight.commands,
             wall_seconds=planned.preflight.wall_seconds,
+            latencies=planned.job.latencies_text,
         )
         return planned
 

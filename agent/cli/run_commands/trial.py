@@ -21,6 +21,7 @@ if will_run():
     from agent.results.run_outcome import Outcome
     from agent.results.trial_report import TrialReport
     from agent.runs.kinds.trial import OneBallTrial, with_checks
+    from agent.runs.last_latencies import with_learned_latencies
     from agent.settings.load import load_settings, naming, with_overrides
 
 FEWEST_HOMINGS, MOST_HOMINGS = 3, 30
@@ -62,7 +63,8 @@ def try_command(
     )
     base = config.resolve().parent
     with naming(config):
-        ended = carry_out_here(prepare_job(with_checks(settings), base), OneBallTrial(homings=homings or 0), base)
+        job = with_learned_latencies(prepare_job(with_checks(settings), base), base)
+        ended = carry_out_here(job, OneBallTrial(homings=homings or 0), base)
     if as_json:
         click.echo(json.dumps(ended.outcome.as_json(), allow_nan=False))
     elif ended.outcome.trial is not None:
