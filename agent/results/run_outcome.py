@@ -213,12 +213,14 @@ class Outcome:
 
     @property
     def ve_now(self) -> Quantity | None:
-        """Volumetric error expected with the table that is active at the end of the run, as far as it is known: of a
-        confirmed table, of the table that a night has kept, or else of the new one."""
+        """Volumetric error expected with the confirmed table, with the table that a night has kept, or else with the
+        new one; None if the proof of the new table has failed, or if nothing is expected."""
         if self.confirmed is not None:
             return Quantity(self.confirmed.kept_um)
         if self.night is not None and (self.proof is None or not self.proof.accepted):
             return None if self.night.ve_now_um is None else Quantity(self.night.ve_now_um)
+        if self.proof is not None and not self.proof.accepted:
+            return None
         return None if self.estimation is None else self.estimation.volumetric.after_aligned
 
     @property
