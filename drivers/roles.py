@@ -178,6 +178,32 @@ class Machine(Protocol):
         """Stop all motion at once. The call is safe in any state and may be repeated."""
 
 
+HomingDirections = tuple[int, int, int]
+
+
+@runtime_checkable
+class AxisHoming(Protocol):
+    """Machine that can be asked whether its controller homes the axes on command, and can be commanded to do so."""
+
+    def why_no_homing(self) -> str:
+        """Return the reason why the axes cannot be homed on command, in words; an empty text if they can. Moves
+        nothing."""
+        ...
+
+    def homing_directions(self) -> HomingDirections:
+        """Return the direction in which X, Y and Z search their switches: 1 towards the upper end of travel, -1 towards
+        the lower end, 0 if the axis searches none."""
+        ...
+
+    def home_axes(self) -> None:
+        """Home all axes in the sequence of the controller, also those that are homed already, and return when they are
+        at rest and homed. The axes travel to their switches or marks on paths that the controller chooses.
+
+        Raises CommandRejected if the axes cannot be homed, and MotionFault if homing has failed; the axes then count as
+        not referenced.
+        """
+
+
 @runtime_checkable
 class StepTracing(Protocol):
     """Device that tells the controller to which step of the measuring procedure each motion belongs.

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+import numpy as np
+
 from drivers.clock import Clock, Deadline, VirtualClock
 from drivers.errors import CommandRejected, GuardTripped, MotionFault, StoreError
 from drivers.roles import (
     AxisLimits,
     DiagnosticFinding,
+    HomingDirections,
     MachineStatus,
     Miss,
     MotionState,
@@ -31,6 +34,11 @@ from simulators.world.motion_forecast import MoveKind
 from simulators.world.mount import AZIMUTH, ELEVATION, MountPhysics
 from simulators.world.world import World
 
+HOMING_MM_PER_S = 50.0
+"""Speed of the axes towards their switches, 3 m/min."""
+HOMING_PULL_OFF_MM = 5.0
+"""Distance from the switches at which the axes stand after a homing; more than usual, because a preflight shows with it
+that the paths across the table are free."""
 POLL_S = 0.05
 """Interval in s at which a motion on hold is polled."""
 MOTION_MARGIN_S = 60.0
@@ -93,6 +101,33 @@ class SimulatedMachineDevice:
         self._catch_up()
         self._controller.begin_move(target_mm, feed_mm_per_s, guarded)
         self._await_motion(MoveKind.GUARDED if guarded else MoveKind.POSITIONING)
+
+    def why_no_homing(self) -> str:
+        return ""
+
+    def homing_directions(self) -> HomingDirections:
+        x, y, z = (1 if end > middle else -1 for end, middle in zip(*self._home_ends(), strict=True))
+        return x, y, z
+
+    def _home_ends(self) -> tuple[Vector, Vector]:
+        """Return the ends of travel at which the axes home, and the middle of the travel, both in mm."""
+        scenario = self.world.scenario
+        ends = np.array(scenario.frame.withdrawn_corner(scenario.machine.limits))
+        return ends, np.array(scenario.machine.limits).mean(axis=1)
+
+    def home_axes(self) -> None:
+        """Move to the home position, first along the stylus away from the table, and set the zero of the axes anew.
+
+        The axes pull off from the ends of travel, where their switches are.
+        """
+        ends, middle = self._home_ends()
+        home = ends + HOMING_PULL_OFF_MM * np.sign(middle - ends)
+        axis = self.world.scenario.frame.axis
+        withdrawn = self.position()
+        withdrawn[axis] = home[axis]
+        for target_mm in (withdrawn, home):
+            self.move_to(target_mm, feed_mm_per_s=HOMING_MM_PER_S, guarded=False)
+        self._controller.set_zero()
 
     def hold(self) -> None:
         self._catch_up()

@@ -69,16 +69,23 @@ class TriggerSettings(StrictModel):
 
 
 class AxisBehaviour(StrictModel):
-    """Errors of the axis positions after a motion: repeatability of every axis, and backlash.
+    """Errors of the axis positions after a motion: repeatability of every axis, and backlash; and of their zero.
 
     Half of the backlash acts against the direction of the last motion. `backlash_um` is one value for all axes, or one
     value each for X, Y and Z, and applies at axis position 0. `backlash_growth_um_per_m` is the increase of the
-    backlash per metre of each axis' own travel.
+    backlash per metre of each axis' own travel. `homing_um` is the standard deviation of the displayed zero from homing
+    to homing, one value for all axes or one each for X, Y and Z.
     """
 
     repeatability_um: NonNegativeFloat = 0.2
     backlash_um: NonNegativeFloat | tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat] = 0.2
     backlash_growth_um_per_m: Coordinates = (0.0, 0.0, 0.0)
+    homing_um: NonNegativeFloat | tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat] = 0.0
+
+    @property
+    def homing_of_axes_um(self) -> Coordinates:
+        """Standard deviation of the displayed zero of X, Y, Z from homing to homing, in µm."""
+        return self.homing_um if isinstance(self.homing_um, tuple) else (self.homing_um,) * 3
 
     @property
     def backlash_of_axes_um(self) -> Coordinates:

@@ -30,8 +30,10 @@ from drivers.errors import (
 )
 from drivers.roles import (
     Activation,
+    AxisHoming,
     CompensationStore,
     Device,
+    HomingDirections,
     ImpairableDevice,
     Machine,
     Miss,
@@ -167,11 +169,16 @@ class Rig:
             announce(step.key)
             return self._touch(step)
 
+        def home(step: s.HomeAxes) -> None:
+            announce(step.key)
+            self._home_axes()
+
         return {
             s.MoveTo: move,
             s.Retrace: retrace,
             s.TouchTowards: touch,
             s.HomeMount: lambda step: self.mounts[step.station].home(),
+            s.HomeAxes: home,
             s.OrientTo: self._orient,
             s.ReadTemperatures: lambda _: dict(self.thermometer.temperatures_c()),
             s.ReadClock: lambda _: self.clock.now(),
@@ -223,6 +230,23 @@ class Rig:
                 hint="remove the cause and reset the controller, then continue with `volcal resume`",
                 **rejection.where,
             ) from rejection
+
+    def why_no_homing(self) -> str:
+        """Return the reason why the axes cannot be homed on command, in words; an empty text if they can."""
+        if not isinstance(self.machine, AxisHoming):
+            return "the driver of the machine has no command that homes the axes"
+        return self.machine.why_no_homing()
+
+    def homing_directions(self) -> HomingDirections:
+        """Return the direction in which X, Y and Z search their switches in a homing, 1 or -1; 0 if it is not known."""
+        return self.machine.homing_directions() if isinstance(self.machine, AxisHoming) else (0, 0, 0)
+
+    def _home_axes(self) -> None:
+        reason = self.why_no_homing()
+        if reason or not isinstance(self.machine, AxisHoming):
+            raise CommandRejected(f"the axes cannot be homed: {reason}", hint="home the machine at its own panel")
+        self.last_motion = LastMotion()  # nothing leads back from where the controller leaves the axes
+        self.machine.home_axes()
 
     def _touch(self, step: s.TouchTowards) -> Touch | Miss:
         self.last_motion.begin(step.target_mm, touch=True)

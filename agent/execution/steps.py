@@ -77,6 +77,14 @@ class HomeMount:
 
 
 @dataclass(frozen=True, slots=True)
+class HomeAxes:
+    """Step: homing of all axes of the machine, in the sequence and on the paths of its controller. Afterwards the axes
+    stand where the controller leaves them."""
+
+    key: str
+
+
+@dataclass(frozen=True, slots=True)
 class OrientTo:
     """Step: turn of the rotary mount at `station` to the given azimuth and elevation.
 
@@ -270,6 +278,7 @@ Step: TypeAlias = (
     | Retrace
     | TouchTowards
     | HomeMount
+    | HomeAxes
     | OrientTo
     | ReadTemperatures
     | ReadClock
@@ -326,6 +335,7 @@ STEPS_WITH_EFFECT = (
     Retrace,
     TouchTowards,
     HomeMount,
+    HomeAxes,
     OrientTo,
     ResetFault,
     AskOperator,

@@ -54,7 +54,8 @@ class Job:
     estimate; they verify it. They are chosen when they are first read, because the choice takes much longer than the
     rest of the preparation and many commands do not need it. Copies of a job made by `dataclasses.replace` share the
     choice in `held_out_choice`. `allowed_stations` contains the stations at which positions may be measured or held
-    out, in measuring order.
+    out, in measuring order. `latencies_from` is the identity of the run that has shown the latencies in `settings`; it
+    is empty if they are as stated in the settings file.
     """
 
     settings: Settings
@@ -67,6 +68,12 @@ class Job:
     rules: PositionRules
     preparation: Preparation
     gate_limits: GateSettings
+    latencies_from: str = ""
+
+    @property
+    def latencies_text(self) -> str:
+        """Origin of the latencies with which machine times are predicted, in words."""
+        return f"of run {self.latencies_from}" if self.latencies_from else "of the settings"
 
     @property
     def held_out(self) -> tuple[Position, ...]:

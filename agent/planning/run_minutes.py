@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from agent.execution.steps import AskOperator, Step
 from agent.planning.cycle_time import TimedStep, expected_plan, walk_plan
 from agent.planning.job import Job, Planner
+from agent.probing.homing_touches import PREFIX as HOMING
 from agent.probing.preparation import PREFIX as CHECKS
 from agent.probing.run_plan import position_key
 from twin.artefact.position_set import Position
@@ -21,8 +22,9 @@ from twin.units import S_PER_MIN
 PREPARATION, MEASURING, HELD_OUT, VERIFICATION = "preparation", "measuring", "held-out", "verification"
 STATION_CHANGES = "station changes"
 PHASES = (PREPARATION, MEASURING, HELD_OUT, VERIFICATION, STATION_CHANGES)
-"""Phases of a run: probe check, qualification and reversal test; the position set; the held-out positions before the
-table is written; the same positions with the new table; and the time of the operator and of parked mounts."""
+"""Phases of a run: probe check, qualification, reversal test and scatter of the homing; the position set; the held-out
+positions before the table is written; the same positions with the new table; and the time of the operator and of parked
+mounts."""
 
 _VERIFY = "verify"
 
@@ -75,7 +77,7 @@ def phase_of(step: Step, held_out: frozenset[str]) -> str:
     prefix, *rest = step.key.split("/")
     if isinstance(step, AskOperator) or any(part.startswith("change-") for part in rest[:2]):
         return STATION_CHANGES
-    if prefix == CHECKS:
+    if prefix in (CHECKS, HOMING):
         return PREPARATION
     if prefix == _VERIFY:
         return VERIFICATION

@@ -94,6 +94,8 @@ class SafetyRules:
                 yield from self._moved(step)
             case s.TouchTowards():
                 yield from self._touched(step)
+            case s.HomeAxes():
+                yield from self._without_permission("homes the axes")
             case s.CheckPermissions():
                 self._permitted = True
             case s.CheckProbe():

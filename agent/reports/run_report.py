@@ -41,6 +41,7 @@ from agent.results.artefact_calibration import calibration_warnings
 from agent.results.decision_kinds import HELD_OUT, IDENTIFIED, INPUTS, OUTCOME, PROBE
 from agent.results.facts import ArtefactFacts, ProbeFacts, ProbeRing, Quantity, TableFacts, VolumetricSummary
 from agent.results.gates import Gate
+from agent.results.homing_scatter import HomingScatter, after_homing_text
 from agent.results.run_outcome import Decision
 from agent.results.travel_parts import TravelParts
 from agent.thermal.thermometer import ThermometerFacts
@@ -172,7 +173,8 @@ def _facts(record: RunRecord, inputs: Mapping[str, Any], trend: str) -> RunFacts
         ),
         provenance=_provenance(record, inputs),
         events=shown_events(record),
-        probe=None if probe is None else _probe(probe["facts"]),
+        probe=None if probe is None else _probe(probe["facts"], outcome),
+        after_homing=after_homing_text(outcome.get("after_homing")) if record.estimate is not None else "",
         trend=trend,
     )
 
@@ -226,11 +228,13 @@ def _temperatures(record: RunRecord) -> tuple[TemperatureTrace, ...]:
     return tuple(traces)
 
 
-def _probe(facts: Mapping[str, Any]) -> ProbeFacts:
+def _probe(facts: Mapping[str, Any], outcome: Mapping[str, Any]) -> ProbeFacts:
+    homing = (outcome.get("trial") or {}).get("homing")
     rings = tuple(
         ProbeRing(ring["latitude_deg"], *(np.array(ring[name]) for name in _RING_ARRAYS)) for ring in facts["rings"]
     )
-    return ProbeFacts(tuple((name, text) for name, text in facts["rows"]), rings)
+    rows = [(name, text) for name, text in facts["rows"]]
+    return ProbeFacts((*rows, *(HomingScatter.from_record(homing).rows if homing else ())), rings)
 
 
 _RING_ARRAYS = ("angle_deg", "residual_um", "map_angle_deg", "map_um")
@@ -328,11 +332,12 @@ def night_facts(record: RunRecord) -> NightFacts | None:
     night = night_of(record)
     if night is None:
         return None
+    outcome = record.decision(OUTCOME) or {}
     return NightFacts(
         decision=night["decision"],
         good=night["decision"] in [decision.value for decision in GOOD],
         since=night["since"],
-        rows=tuple(_night_rows(night)),
+        rows=(*_night_rows(night), ("After a homing", after_homing_text(outcome.get("after_homing")))),
         ve_now_um=night["ve_now_um"],
         ve_before_um=night["ve_before_um"],
     )

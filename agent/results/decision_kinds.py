@@ -8,3 +8,4 @@ from __future__ import annotations
 
 INPUTS, PROBE, IDENTIFIED, HELD_OUT, OUTCOME = "inputs", "probe", "identified", "held-out", "outcome"
 CONFIRMED = "confirmed"
+TRIAL = "try"

@@ -9,6 +9,8 @@ from pathlib import Path
 from agent.execution.states import RunState
 from agent.probing.reversal import AxisReversal
 from agent.results.estimation import NO_ESTIMATION, EstimationResult
+from agent.results.facts import Quantity
+from agent.results.homing_scatter import AfterHoming
 from agent.results.night_changes import drift_document, jump_documents
 from agent.results.run_time import RunTime
 from agent.results.trial_report import TrialReport
@@ -180,7 +182,11 @@ class NightReport:
 
 @dataclass(frozen=True)
 class Outcome:
-    """State, results and report of a run. A field is None if the run ended before the field was set."""
+    """State, results and report of a run. A field is None if the run ended before the field was set.
+
+    `after_homing` is the effect of the next homing; it is None if the scatter of the homing has never been measured, or
+    if the run has no estimate.
+    """
 
     state: RunState
     run_id: str
@@ -203,6 +209,25 @@ class Outcome:
     reason: str = ""
     link_interruptions: int = 0
     run_time: RunTime | None = None
+    after_homing: AfterHoming | None = None
+
+    @property
+    def ve_now(self) -> Quantity | None:
+        """Volumetric error expected with the confirmed table, with the table that a night has kept, or else with the
+        new one; None if the proof of the new table has failed, or if nothing is expected."""
+        if self.confirmed is not None:
+            return Quantity(self.confirmed.kept_um)
+        if self.night is not None and (self.proof is None or not self.proof.accepted):
+            return None if self.night.ve_now_um is None else Quantity(self.night.ve_now_um)
+        if self.proof is not None and not self.proof.accepted:
+            return None
+        return None if self.estimation is None else self.estimation.volumetric.after_aligned
+
+    @property
+    def after_homing_record(self) -> dict[str, object] | None:
+        """JSON object about the accuracy after the next homing; None if it is not known."""
+        after, ve = self.after_homing, self.ve_now
+        return None if after is None or ve is None else after.as_json(ve)
 
     def as_json(self) -> dict[str, object]:
         """Return this outcome as the JSON object that docs/reference/json.md describes. `verified` is null if no new
@@ -248,6 +273,7 @@ class Outcome:
             "night": None if self.night is None else self.night.as_json(),
             "trial": None if self.trial is None else self.trial.as_json(),
             "reversal": [dict(vars(axis)) for axis in self.reversal],
+            "after_homing": self.after_homing_record,
             "table_bank": self.table_bank,
             "report": None if self.report is None else str(self.report),
             "reason": self.reason,

@@ -148,24 +148,39 @@ def proof_power(job: Job, estimation: EstimationResult, former: FormerBalls) -> 
     with translated(MeasurementFault):
         result = former.residuals(offset, reference.artefact)
         residuals = _residual_covariance(reference, estimation, former.observed, result, offset)
-    return _effect_test(job, estimation, former, residuals).power(result.residuals_mm)
+    touches_before = _touches_before(former, residuals)
+    return _effect_test(job, estimation, former, residuals, touches_before).power(result.residuals_mm)
+
+
+def _touches_before(former: FormerBalls, residuals: HeldOutCovariance) -> Array:
+    """Return the projected covariance (f, f) in mm² of the touches of the balls with the former table."""
+    return projected_touches(residuals.basis, former.observed.covariance)
 
 
 def _effect_test(
-    job: Job, estimation: EstimationResult, former: FormerBalls, residuals: HeldOutCovariance
+    job: Job,
+    estimation: EstimationResult,
+    former: FormerBalls,
+    residuals: HeldOutCovariance,
+    touches_before: Array,
 ) -> EffectTest:
     corrections = [_correction_at(former.balls, correction) for correction in (former.correction, estimation.table.at)]
     return EffectTest.of(
         residuals.projected(corrections[0] - corrections[1]),
         residuals,
-        projected_touches(residuals.basis, former.observed.covariance),
+        touches_before,
         estimation.estimate.scales.noise,
         job.settings.verification.max_chi2,
     )
 
 
 def _applied_table(
-    job: Job, estimation: EstimationResult, former: FormerBalls, residuals: HeldOutCovariance, change_mm: Array
+    job: Job,
+    estimation: EstimationResult,
+    former: FormerBalls,
+    residuals: HeldOutCovariance,
+    touches_before: Array,
+    change_mm: Array,
 ) -> AppliedTable:
     """Return which correction the controller applies, from the change (n, 3) in mm of the residuals of the held-out
     balls."""
@@ -173,7 +188,6 @@ def _applied_table(
     def projected(correction: Correction) -> Array:
         return residuals.projected(_correction_at(former.balls, correction))
 
-    touches_before = projected_touches(residuals.basis, former.observed.covariance)
     change = residuals.projected(change_mm) - projected(former.correction)
     test = ChangeTest.of(change, residuals, touches_before, estimation.estimate.scales.noise)
     return applied_table(test, estimation.table, former.correction, projected, job.settings.verification.max_chi2)
@@ -225,8 +239,11 @@ def prove(job: Job, estimation: EstimationResult, former: FormerBalls, after: Se
         before, result = (displayed_residuals(balls, offset, reference.artefact) for balls in (former.balls, after))
         residuals = _residual_covariance(reference, estimation, seen, result, offset)
         undrifted = former.residuals(offset, reference.artefact)
-    effect = _effect_test(job, estimation, former, residuals).measured(undrifted.residuals_mm, result.residuals_mm)
-    applied = _applied_table(job, estimation, former, residuals, result.residuals_mm - undrifted.residuals_mm)
+    touches_before = _touches_before(former, residuals)
+    test = _effect_test(job, estimation, former, residuals, touches_before)
+    effect = test.measured(undrifted.residuals_mm, result.residuals_mm)
+    change_mm = result.residuals_mm - undrifted.residuals_mm
+    applied = _applied_table(job, estimation, former, residuals, touches_before, change_mm)
     change_um = f"{UM_PER_MM * before.rms_mm:.2f} to {UM_PER_MM * result.rms_mm:.2f} µm"
     if former.drift_mm.any():
         change_um += f" (before the table, {UM_PER_MM * undrifted.rms_mm:.2f} µm in the state to which it drifted)"
@@ -236,7 +253,7 @@ def prove(job: Job, estimation: EstimationResult, former: FormerBalls, after: Se
         _disagreement(effect.consistency.chi2_normalised, effect.max_chi2),
     )
     return Proof(
-        accepted=not any(reasons),
+        accepted=effect.accepted and not applied.reason,
         before_um=UM_PER_MM * before.rms_mm,
         after_um=UM_PER_MM * result.rms_mm,
         predicted_um=UM_PER_MM * effect.consistency.predicted_mm,

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from agent.probing.ball import FittedBall
 from agent.probing.preparation import DatumBall, PreparationResult
+from agent.results.homing_scatter import HomingScatter
 from agent.results.probe_facts import check_rows
 from twin.arrays import Array
 from twin.units import UM_PER_MM
@@ -24,7 +27,8 @@ class TrialReport:
     are the axis positions at the centre of ball `ball`, as expected from the settings and as displayed by the
     controller. `expected_radius_mm` is the sum of the nominal radii of ball and tip, and `radius_mm` the radius of the
     sphere through the touches; it is smaller by the pretravel. `checks` contains the name and the result of each
-    further check as texts, and `warnings` what should be looked at before the first calibration.
+    further check as texts, and `warnings` what should be looked at before the first calibration. `homing` is the
+    scatter of the homing; it is None if it was not measured.
     """
 
     station: int
@@ -39,6 +43,7 @@ class TrialReport:
     checks: tuple[tuple[str, str], ...]
     latch_delay_ms: float | None
     warnings: tuple[str, ...]
+    homing: HomingScatter | None = None
 
     @property
     def offset_mm(self) -> tuple[float, float, float]:
@@ -55,11 +60,15 @@ class TrialReport:
             "found_mm": list(self.found_mm),
             "checks": dict(self.checks),
             "warnings": list(self.warnings),
+            "homing": None if self.homing is None else self.homing.as_json(),
         }
 
 
-def trial_report(prepared: PreparationResult, datum: DatumBall) -> TrialReport:
-    """Return the result of a trial from the checks that were made on the ball `datum`."""
+def trial_report(
+    prepared: PreparationResult, datum: DatumBall, after_homings: Sequence[FittedBall] = ()
+) -> TrialReport:
+    """Return the result of a trial from the checks that were made on the ball `datum`. `after_homings` contains this
+    ball as it was found after each homing, if the axes were homed."""
     latch, position = prepared.latch, datum.position
     warnings = [w for check in (latch, prepared.reversal) if check is not None for w in check.warnings]
     report = TrialReport(
@@ -75,6 +84,7 @@ def trial_report(prepared: PreparationResult, datum: DatumBall) -> TrialReport:
         checks=check_rows(prepared),
         latch_delay_ms=None if latch is None else latch.delay_ms,
         warnings=tuple(warnings),
+        homing=HomingScatter.of(prepared, after_homings) if after_homings else None,
     )
     search_mm = prepared.rules.probing.wide_search.beyond_mm
     distance_mm = float(np.linalg.norm(report.offset_mm))

@@ -1,21 +1,22 @@
-"""Latencies that the last complete run of a machine has shown, read from its journal for the forecast of the next."""
+"""Latencies that the last complete run of a machine has shown, read from its journal for the plan of the next."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from agent.execution.journal_reader import has_journal
 from agent.execution.run_record import read_record, run_heads
 from agent.execution.states import RunState
-from agent.planning.cycle_time import TimedStep
 from agent.planning.job import Job
-from agent.planning.latency_fit import latencies_of
-from agent.planning.preflight import PreflightResult
-from agent.planning.time_model import takes_time, time_model
+from agent.planning.job_preparation import prepare_job
+from agent.planning.latency_fit import latencies_of, suggested_settings
+from agent.planning.time_model import time_model
 from agent.results.decision_kinds import INPUTS, OUTCOME
 from agent.results.run_time import LearnedLatency
-from twin.units import S_PER_MIN
+from agent.runs.run_forecast import ENOUGH
+from agent.settings.schema import TimingSettings
 
 
 @dataclass(frozen=True)
@@ -25,22 +26,11 @@ class LastLatencies:
     run_id: str
     latencies: tuple[LearnedLatency, ...]
 
-    def minutes(self, job: Job, preflight: PreflightResult) -> float:
-        """Return the machine minutes of the run that `preflight` has walked, with these latencies in place of those of
-        the settings of `job`."""
-        given_s = latencies_of(time_model(job.machine, job.settings.timing))
-        learned_s = {one.kind: one.learned_s for one in self.latencies}
-
-        def more_s(timed: TimedStep) -> float:
-            kind = type(timed.step).__name__
-            return learned_s[kind] - given_s[kind] if kind in learned_s and takes_time(timed.step) else 0.0
-
-        return preflight.machine_minutes + sum(more_s(timed) for timed in preflight.steps) / S_PER_MIN
-
 
 def last_latencies(state_directory: Path, machine: str) -> LastLatencies | None:
     """Return the latencies of the last complete run of the machine with the name `machine` in the journal of
-    `state_directory`; None if there is no such run. Raises InputError if the journal cannot be read."""
+    `state_directory` that has learned at least one of them; None if there is no such run. Raises InputError if the
+    journal cannot be read."""
     if not has_journal(state_directory):
         return None
     complete = [head.row.run_id for head in run_heads(state_directory) if head.row.state == RunState.COMPLETE.value]
@@ -48,5 +38,44 @@ def last_latencies(state_directory: Path, machine: str) -> LastLatencies | None:
         record = read_record(state_directory, run_id)
         told = (record.decision(OUTCOME) or {}).get("run_time")
         if told and (record.decision(INPUTS) or {}).get("machine") == machine:
-            return LastLatencies(run_id, tuple(LearnedLatency(**one) for one in told["latencies"]))
+            learned = _enough(LearnedLatency(**one) for one in told["latencies"])
+            if learned:
+                return LastLatencies(run_id, learned)
     return None
+
+
+def _enough(latencies: Iterable[LearnedLatency]) -> tuple[LearnedLatency, ...]:
+    """Return those latencies that are the mean of enough steps."""
+    return tuple(one for one in latencies if one.count >= ENOUGH[one.kind])
+
+
+def _permitted(suggested: Mapping[str, float]) -> dict[str, float]:
+    """Return the latencies, each at most as long as the settings may state. A person may have taken longer, for whom
+    nobody waits in a forecast."""
+    longest = {"command_latency_s": 60.0, "touch_latency_s": 60.0, "turn_latency_s": 600.0, "relocation_minutes": 600.0}
+    return {name: min(value, longest[name]) for name, value in suggested.items()}
+
+
+def with_learned_latencies(job: Job, base: Path) -> Job:
+    """Return `job` with the latencies of the machine's last complete run in place of those of the settings, so that
+    paths, order, minutes and slots follow them; `job` itself if there is no such run.
+
+    `base` is the directory to which relative paths of the settings refer. The latencies are part of the settings of
+    the job, which the journal stores. A resumed run has therefore the same plan, whatever a later run has shown.
+    """
+    learned = last_latencies(job.settings.state_directory, job.machine.name)
+    if learned is None:
+        return job
+    timing = job.settings.timing
+    given = time_model(job.machine, timing)
+    seconds = {**latencies_of(given), **{one.kind: one.learned_s for one in learned.latencies}}
+    model = replace(
+        given,
+        command_latency_s=seconds["MoveTo"],
+        touch_latency_s=seconds["TouchTowards"],
+        turn_latency_s=seconds["OrientTo"],
+        carrying_s=seconds["AskOperator"],
+    )
+    learned_timing = TimingSettings.model_validate({**timing.model_dump(), **_permitted(suggested_settings(model))})
+    settings = job.settings.model_copy(update={"timing": learned_timing})
+    return replace(prepare_job(settings, base), latencies_from=learned.run_id)

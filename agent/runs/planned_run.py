@@ -12,7 +12,7 @@ from agent.execution.steps import Point, RunPlan, Step
 from agent.planning.job import Job
 from agent.planning.preflight import PreflightResult, run_preflight
 from agent.planning.stand_ins import USUAL_STORE
-from drivers.roles import StoreLimits
+from drivers.roles import HomingDirections, StoreLimits
 
 
 @dataclass(frozen=True)
@@ -24,13 +24,16 @@ class StartConditions:
 
     `run` is the number of the run in the journal; only runs with lower numbers count as earlier. `at` is the UTC time
     in ISO 8601. `start_mm` contains the axis positions in mm. `store` contains the limits of the compensation store of
-    the controller.
+    the controller. `no_homing` is the reason why the controller cannot home the axes on command; it is empty if it can,
+    and in a run that was begun before. `homing_directions` are the directions in which the axes search their switches.
     """
 
     run: int
     at: str
     start_mm: Point
     store: StoreLimits = field(default=USUAL_STORE)
+    no_homing: str = ""
+    homing_directions: HomingDirections = (0, 0, 0)
 
 
 def never_too_late(_: Step, __: float) -> PlanRefused | None:

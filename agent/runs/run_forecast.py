@@ -11,7 +11,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Mapping
 
-from agent.execution.steps import Step
+from agent.execution.steps import HomeAxes, Step
 from agent.planning.latency_fit import CARRY, KINDS, MOVE, TOUCH, TURN, LatencyRecord, latencies_of
 from agent.planning.preflight import PreflightResult
 from agent.planning.run_minutes import PHASES, held_out_keys, phase_of
@@ -42,7 +42,7 @@ class RunForecast:
 
     def observe(self, step: Step, result: object, took_s: float) -> None:
         """Take note of a step that took `took_s` in s."""
-        if takes_time(step):
+        if takes_time(step) or isinstance(step, HomeAxes):
             self._spent_s[phase_of(step, self._held_out)] += took_s
         self._record.observe(step, result, took_s)
 

@@ -46,7 +46,14 @@ def read_start_conditions(rig: Rig, journal: RunJournal, state_directory: Path) 
     """
     x, y, z = rig.machine.position().tolist()
     _require_finished_compensation(rig, state_directory)
-    return StartConditions(journal.run, utc_timestamp(), (x, y, z), rig.store.store_limits())
+    return StartConditions(
+        journal.run,
+        utc_timestamp(),
+        (x, y, z),
+        rig.store.store_limits(),
+        no_homing=rig.why_no_homing(),
+        homing_directions=rig.homing_directions(),
+    )
 
 
 def _require_finished_compensation(rig: Rig, state_directory: Path) -> None:

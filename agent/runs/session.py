@@ -24,9 +24,11 @@ from agent.execution.supervisor import Supervisor
 from agent.planning.job import Job
 from agent.planning.time_model import time_model
 from agent.probing.run_plan import VERIFIED
+from agent.results.homing_scatter import AfterHoming
 from agent.results.journal_entries import record_outcome
 from agent.results.run_outcome import Outcome
 from agent.runs.guard import attempt, carry_out_guarded
+from agent.runs.last_homing import after_homing
 from agent.runs.origin import origin_record
 from agent.runs.planned_run import Kind, PlannedRun, StartConditions
 from agent.runs.reference_state import write_copy
@@ -186,6 +188,7 @@ class RunSession:
             machine_minutes=planned.preflight.machine_minutes,
             commands=planned.preflight.commands,
             wall_seconds=planned.preflight.wall_seconds,
+            latencies=planned.job.latencies_text,
         )
         return planned
 
@@ -261,6 +264,19 @@ class RunSession:
             self._note(f"no report: {error}")
             return {}
 
+    def _after_homing(self) -> AfterHoming | None:
+        """Return the effect of the next homing; None if it is not known, or if the run says nothing about the
+        accuracy of the machine."""
+        progress = self.progress
+        if progress.estimation is None and progress.night is None:
+            return None
+        estimate = None if progress.estimation is None else progress.estimation.estimate
+        try:
+            return after_homing(self._measured_job, estimate, self._context.journal.run)
+        except VolcalError as error:
+            self._note(f"the effect of a homing is not known: {error}")
+            return None
+
     def _note(self, complaint: str) -> None:
         attempt("note the complaint", lambda: self._context.tracker.note(complaint))
 
@@ -287,6 +303,7 @@ class RunSession:
             confirmed=progress.confirmed,
             night=progress.night,
             trial=progress.trial,
+            after_homing=self._after_homing(),
             reversal=() if progress.prepared is None else progress.prepared.reversals,
             kind=self._kind.name,
             reason="" if progress.error is None else str(progress.error),

@@ -8,13 +8,14 @@ test.
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
 
 from drivers.contract.rig import ContractRig, StoppedError
 from drivers.errors import CommandRejected, DeviceError, GuardTripped
-from drivers.roles import Machine, Miss, MotionState, Probe, RotaryMount, Touch
+from drivers.roles import AxisHoming, Machine, Miss, MotionState, Probe, RotaryMount, Touch
 
 SLOW_MM_PER_S = 50.0
 
@@ -69,6 +70,32 @@ class MachineContract:
         rig.machine.stop()
         rig.go(rig.free_mm)
         assert rig.machine.position() == pytest.approx(rig.free_mm, abs=rig.resolution_mm)
+
+
+class AxisHomingContract:
+    """Contract of the optional role of a machine whose axes may be homed on command."""
+
+    def test_homing_is_carried_out_or_refused_in_words(self, rig: ContractRig) -> None:
+        machine = rig.machine
+        assert isinstance(machine, AxisHoming)
+        assert set(machine.homing_directions()) <= {-1, 0, 1}
+        reason = machine.why_no_homing()
+        rig.go(rig.start_mm)
+        before = rig.machine.position()
+        if reason:
+            with pytest.raises(CommandRejected, match=re.escape(reason)):
+                machine.home_axes()
+            assert np.array_equal(rig.machine.position(), before)
+            return
+        machine.home_axes()
+        status = rig.machine.status()
+        assert (status.state, status.missing) == (MotionState.IDLE, ())
+        homed, limits = rig.machine.position(), rig.machine.limits()
+        for axis, direction in enumerate(machine.homing_directions()):
+            low, high = limits.lower_mm[axis], limits.upper_mm[axis]
+            assert direction * (homed[axis] - 0.5 * (low + high)) >= 0.0
+        machine.home_axes()
+        assert rig.machine.position() == pytest.approx(homed, abs=rig.resolution_mm)
 
 
 class ProbeContract:

@@ -26,6 +26,7 @@ from drivers.repeated_latch import RepeatedLatch
 from drivers.roles import (
     AxisLimits,
     DiagnosticFinding,
+    HomingDirections,
     MachineStatus,
     Miss,
     ProbeStatus,
@@ -92,8 +93,16 @@ class LinuxCnc(ControllerDevice["_Parts"]):
         """Process id of the bridge process between volcal and LinuxCNC; None if no bridge process has been started."""
         return self._session.link.pid
 
-    def home(self) -> None:
-        """Home all joints as specified in the INI file; the axes may move."""
+    def why_no_homing(self) -> str:
+        if self._session.properties.absolute_encoders:
+            return "every joint has an absolute encoder (HOME_ABSOLUTE_ENCODER = 2): homing moves nothing"
+        return ""
+
+    def homing_directions(self) -> HomingDirections:
+        return self._session.properties.homing_directions
+
+    def home_axes(self) -> None:
+        """Home all joints as specified in the INI file, also those that are homed already; the axes may move."""
         self._open.motion.require_idle()
         self._session.home()
 

@@ -13,7 +13,7 @@ from drivers.errors import CommandRejected, ConfigurationError, LinkLost, Protoc
 from drivers.linuxcnc.bridge_link import BridgeLink
 from drivers.linuxcnc.settings import LinuxCncSettings
 from drivers.linuxcnc.snapshot import ON, Snapshot, parse_snapshot
-from drivers.roles import AxisLimits, Permission
+from drivers.roles import AxisLimits, HomingDirections, Permission
 
 XYZ = "XYZ"
 XYZ_MASK = 0b111
@@ -23,13 +23,15 @@ XYZ_MASK = 0b111
 class MachineProperties:
     """Properties of the machine that do not change while LinuxCNC runs.
 
-    `absolute_encoders` is True if every joint has an absolute encoder.
+    `absolute_encoders` is True if every joint has an absolute encoder. `homing_directions` are the signs of
+    HOME_SEARCH_VEL of the joints 0 to 2, which move X, Y and Z on a machine of three slides.
     """
 
     limits: AxisLimits
     mm_per_unit: float
     servo_period_s: float
     absolute_encoders: bool
+    homing_directions: HomingDirections
     machine_name: str
 
 
@@ -127,9 +129,10 @@ class LinuxCncSession:
         mm = 1.0 / self._number(hello["linear_units"], "linear_units")
         axes = [(f"AXIS_{name}", key) for name in XYZ for key in ("MAX_VELOCITY", "MAX_ACCELERATION")]
         encoders = [(f"JOINT_{number}", "HOME_ABSOLUTE_ENCODER") for number in range(hello["joints"])]
+        searches = [(f"JOINT_{number}", "HOME_SEARCH_VEL") for number in range(3)]
         single = [("EMCMOT", "SERVO_PERIOD"), ("EMC", "MACHINE"), ("TRAJ", "MAX_LINEAR_VELOCITY")]
-        reported = self.link.ask("ini", keys=[*axes, *encoders, *single])["values"]
-        values = dict(zip([*axes, *encoders, *single], reported, strict=True))
+        reported = self.link.ask("ini", keys=[*axes, *encoders, *searches, *single])["values"]
+        values = dict(zip([*axes, *encoders, *searches, *single], reported, strict=True))
         dynamics = [self._number(values[key], f"[{key[0]}]{key[1]}") * mm for key in axes]
         fastest = values["TRAJ", "MAX_LINEAR_VELOCITY"]
         cap = math.inf if fastest is None else self._number(fastest, "[TRAJ]MAX_LINEAR_VELOCITY") * mm
@@ -145,6 +148,7 @@ class LinuxCncSession:
             mm_per_unit=mm,
             servo_period_s=1e-9 * self._number(values["EMCMOT", "SERVO_PERIOD"], "[EMCMOT]SERVO_PERIOD"),
             absolute_encoders=all(values[key] == "2" for key in encoders),
+            homing_directions=_signs(*(values[key] for key in searches)),
             machine_name=values["EMC", "MACHINE"] or "",
         )
 
@@ -157,3 +161,16 @@ class LinuxCncSession:
         if not 0.0 < value < math.inf:
             raise ProtocolError(f"LinuxCNC states {place} as {reported!r}", hint="check its INI file", **self.where)
         return value
+
+
+def _signs(x: str | None, y: str | None, z: str | None) -> HomingDirections:
+    return _sign(x), _sign(y), _sign(z)
+
+
+def _sign(reported: str | None) -> int:
+    """Return the sign of a number from the INI file; 0 if it is missing or no number."""
+    try:
+        value = float(str(reported).split("#")[0])
+    except ValueError:
+        return 0
+    return (value > 0.0) - (value < 0.0)

@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.clock import Clock
 from drivers.controller_device import ControllerDevice
-from drivers.errors import DeviceError, ProtocolError
+from drivers.errors import CommandRejected, DeviceError, ProtocolError
 from drivers.modbus_cnc.codes import (
     ACTIVATIONS,
     NO_TEMPERATURE,
@@ -31,6 +31,7 @@ from drivers.repeated_latch import RepeatedLatch
 from drivers.roles import (
     AxisLimits,
     DiagnosticFinding,
+    HomingDirections,
     MachineStatus,
     Miss,
     ProbeStatus,
@@ -47,6 +48,7 @@ MIN_RESOLUTION_MM = 1e-9
 
 This bound and `MIN_DYNAMICS` reveal a wrong word or byte order, which makes a float64 huge or smaller than 1e-300.
 """
+NO_HOMING = "the Modbus register map has no command that homes the axes"
 _LATCH_RESULTS = {MotionOutcome.TRIPPED: 1, MotionOutcome.MISSED: 2}
 
 
@@ -94,6 +96,16 @@ class ModbusCnc(ControllerDevice["_Parts"]):
         else:
             code = CommandCode.GUARDED_FEED if guarded else CommandCode.MOVE_FEED
         self._open.motion.run(code, [float(value) for value in target_mm], feed_mm_per_s)
+
+    def why_no_homing(self) -> str:
+        return NO_HOMING
+
+    def homing_directions(self) -> HomingDirections:
+        return 0, 0, 0
+
+    def home_axes(self) -> None:
+        """Raise CommandRejected, because no register can command it."""
+        raise CommandRejected(NO_HOMING, hint="home the machine at its own panel", **self._where)
 
     def trace(self, tag: int) -> None:
         self._open.motion.tag = tag

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
-from drivers.roles import AxisLimits, DiagnosticFinding, Vector
+from drivers.roles import AxisLimits, DiagnosticFinding, HomingDirections, Vector
 from drivers.serial_cnc.lines import MessageLine, SettingLine
 
 REPORT_MASK, REPORT_INCHES = 10, 13
@@ -85,6 +85,13 @@ class ControllerSettings:
     @property
     def homes(self) -> bool:
         return bool(int(self.values[HOMING]) & 1)
+
+    @property
+    def homing_directions(self) -> HomingDirections:
+        """Direction in which X, Y and Z search their switches: 1 towards the upper end of travel, -1 towards the lower
+        end if the bit of the axis in ``$23`` is set."""
+        x, y, z = (-1 if int(self.values.get(HOMING_DIRECTION, 0.0)) >> axis & 1 else 1 for axis in range(3))
+        return x, y, z
 
     @property
     def position_in_machine(self) -> bool:

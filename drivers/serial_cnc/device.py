@@ -17,6 +17,7 @@ from drivers.registry import DeviceContext
 from drivers.roles import (
     AxisLimits,
     DiagnosticFinding,
+    HomingDirections,
     MachineStatus,
     Miss,
     MotionState,
@@ -30,6 +31,7 @@ from drivers.serial_cnc.controller_settings import ControllerSettings
 from drivers.serial_cnc.conversation import Conversation
 from drivers.serial_cnc.diagnosis import diagnose
 from drivers.serial_cnc.frames import CoordinateFrames
+from drivers.serial_cnc.homing import SerialHoming
 from drivers.serial_cnc.identity import await_rest, read_identity
 from drivers.serial_cnc.motion import SerialMotion
 from drivers.serial_cnc.probing import SerialProbing
@@ -102,6 +104,20 @@ class SerialCnc(ControllerDevice["_Parts"]):
         else:
             parts.motion.move_straight(target, feed_mm_per_s)
 
+    def why_no_homing(self) -> str:
+        return "" if self._open.controller_settings.homes else "$22=0: homing is off in the controller"
+
+    def homing_directions(self) -> HomingDirections:
+        return self._open.controller_settings.homing_directions
+
+    def home_axes(self) -> None:
+        parts = self._open
+        if not parts.controller_settings.homes:
+            raise CommandRejected(
+                self.why_no_homing(), hint="set $22=1 if the machine has homing switches", **self._where
+            )
+        parts.homing.home()
+
     def hold(self) -> None:
         self._open.control.hold()
 
@@ -160,7 +176,9 @@ class _Parts:
         clock: Clock,
     ) -> None:
         zero = conversation.settings.axis_zero_mm
+        self.controller_settings = controller_settings
         self.control = MotionControl(conversation, tracker, clock)
         self.frames = CoordinateFrames(controller_settings.limits(zero), zero, store, conversation.where)
         self.motion = SerialMotion(conversation, tracker, self.control, self.frames, clock)
+        self.homing = SerialHoming(conversation, tracker, self.control, clock)
         self.probing = SerialProbing(conversation, tracker, self.motion, self.frames, controller_settings)

@@ -58,6 +58,7 @@ class SerialCncSettings(DriverOptions):
     initial_motion_timeout_s: Seconds = Field(
         default=30.0, description="for a motion still in progress when the device opens"
     )
+    homing_timeout_s: Seconds = Field(default=1200.0, description="longest homing ($H) of all axes")
     max_hold_s: Seconds = Field(default=600.0, description="longest wait for the release of a feed hold")
     latch_tolerance_mm: float = Field(
         default=1.0, gt=0.0, description="largest distance of a latched position from its path"

@@ -124,6 +124,10 @@ class StatusTracker:
             self._alarm = conversation.alarm if conversation.alarm is not None else alarm
         return self._interpret(report)
 
+    def note_homed(self) -> None:
+        """Record that the controller has homed all axes, so the position is known again."""
+        self.position_lost = False
+
     def expect_restart(self) -> None:
         """Discard the state that a reset by this driver has cleared. The position is kept. Call this method after the
         reset.

@@ -66,6 +66,10 @@ class ContactSolver:
                 first = Contact(distance, ball)
         return self._refine(first, path, snapshot) if first and self._shift.has_field else first
 
+    def forget(self) -> None:
+        """Forget what was computed with the former zero of the axes."""
+        self._near = self._last = None
+
     def tip(self, axis_position: Point) -> Point:
         """Return the tip centre in mm in the workpiece frame if the axes display `axis_position`.
 

@@ -22,7 +22,7 @@ from simulators.world.field import FieldOfMany, TipShift
 from simulators.world.field_changes import FieldChanges
 from simulators.world.lost_motion import PlayOperator
 from simulators.world.motion_forecast import MotionCommand, MotionForecast, MoveKind, PathEvents, forecast_motion
-from simulators.world.noise import BY_STEP
+from simulators.world.noise import BY_STEP, NoiseSource
 from simulators.world.path_lookahead import PathLookahead
 from simulators.world.tables import TableBanks
 from simulators.world.trigger import Trigger
@@ -82,6 +82,9 @@ class Controller:
         self._changes = changes
         self._trigger = Trigger(settings.trigger, settings.seed, scenario.frame)
         self._play = PlayOperator(settings.axes, settings.seed)
+        self._homing_sigma_um = settings.axes.homing_of_axes_um
+        self._homing_noise = NoiseSource(settings.seed, "homing")
+        self._homings = 0
         self._shift = TipShift(machine_field)
         reach = table.ball_radius_mm + settings.probe.tip_radius_mm
         self.contacts = ContactSolver(self._tool, reach, self._shift)
@@ -195,6 +198,27 @@ class Controller:
         """
         self._begin(MoveKind.TOUCH, target, feed_mm_per_s)
 
+    def set_zero(self) -> None:
+        """Set the displayed zero of every axis anew, as at the end of a homing. It scatters from homing to homing."""
+        self._homings += 1
+        noise = self._homing_noise.normal(self._homings if self._noise_step is None else self._noise_step)
+        self._shift.homing = point([1e-3 * s * n for s, n in zip(self._homing_sigma_um, noise, strict=True)])
+        self.contacts.forget()
+
+    @property
+    def homing_offset_mm(self) -> Point:
+        """Offset of the displayed zero of X, Y and Z in mm that the last homing has left."""
+        return self._shift.homing
+
+    @property
+    def _noise_step(self) -> int | None:
+        """Number that selects the noise of the present step, or None if a running number does.
+
+        Noise by step keeps the readings of a resumed run equal to those of an uninterrupted one, although the numbers
+        of their motions differ.
+        """
+        return BY_STEP + self._tag if self._by_step and self._tag else None
+
     def hold(self) -> None:
         """Brake the axes along their path, and store the motion command; the method `resume` completes that command
         later.
@@ -274,9 +298,7 @@ class Controller:
         resting = self._contacted_ball(snapshot) if self._deflected else None
         self._shift.drift = self._changes.thermal.drift_mm(self.now_s)
         self._shift.change = self._changes.field(self.now_s)
-        # Noise by step keeps the readings of a resumed run equal to those of an uninterrupted one, although the numbers
-        # of their motions differ.
-        step = BY_STEP + self._tag if self._by_step and self._tag else None
+        step = self._noise_step
         self._shift.play = self._play.after(self._position, command.target, step)
         events = self._lookahead.events_on(command, snapshot, resting, self._touches if step is None else step)
         law = trapezoid(self.now_s, command.path.length, command.speed, command.acceleration)

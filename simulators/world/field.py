@@ -57,8 +57,10 @@ class TipShift:
     a deviation, with its `change` since the start of the simulation. The position-dependent part of the offset is the
     sum of correction, deviation and change.
 
-    Two other parts are the same at every position. One is the thermal `drift`, the growth of spindle and ram. The other
-    is the `play`, the error that the last motion leaves because of backlash and limited repeatability.
+    Three other parts are the same at every position. One is the thermal `drift`, the growth of spindle and ram. Another
+    is the `play`, the error that the last motion leaves because of backlash and limited repeatability. The third is
+    `homing`, the distance of the displayed zero from where it was before the last homing; the machine has its deviation
+    at the place of the slides, which are displaced by it too.
     """
 
     def __init__(self, machine: FieldOfMany | None) -> None:
@@ -67,6 +69,7 @@ class TipShift:
         self.change: FieldOfMany | None = None
         self.drift: Point = ZERO
         self.play: Point = ZERO
+        self.homing: Point = ZERO
 
     @property
     def has_field(self) -> bool:
@@ -74,10 +77,10 @@ class TipShift:
 
     @property
     def rigid(self) -> Point:
-        """Part of the tip centre's offset in mm that is the same at every axis position: the sum of the thermal `drift`
-        and the backlash error `play`.
+        """Part of the tip centre's offset in mm that is the same at every axis position: the sum of the thermal
+        `drift`, the backlash error `play` and the offset of the last `homing`.
         """
-        return translate_point(self.drift, self.play)
+        return translate_point(translate_point(self.drift, self.play), self.homing)
 
     def field_at(self, axis_position: Point) -> Point:
         return point(self.field_at_many(np.array([axis_position]))[0]) if self.has_field else ZERO
@@ -89,7 +92,7 @@ class TipShift:
         shift = np.zeros_like(axis_positions)
         if self.table is not None:
             shift += self.table.at_many(axis_positions)
-        bare = axis_positions + shift
+        bare = axis_positions + shift + np.array(self.homing)
         for field in (self._machine, self.change):
             if field is not None:
                 shift += field(bare)

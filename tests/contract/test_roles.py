@@ -11,10 +11,11 @@ from collections.abc import Iterator
 import pytest
 from rigs import SimulatedRig, in_process, on_wires, over_rtu, over_serial
 
-from drivers.contract.motion_contract import MachineContract, ProbeContract, RotaryMountContract
+from drivers.contract.motion_contract import AxisHomingContract, MachineContract, ProbeContract, RotaryMountContract
 from drivers.contract.rig import StoppedError
 from drivers.contract.store_contract import CompensationStoreContract, ThermometerContract
-from drivers.roles import Operator, OperatorRequest, OperatorTask
+from drivers.modbus_cnc.device import ModbusCnc
+from drivers.roles import AxisHoming, Operator, OperatorRequest, OperatorTask
 
 
 @pytest.fixture(
@@ -30,6 +31,12 @@ class TestMachine(MachineContract):
         limits = rig.machine.limits()
         assert (limits.lower_mm, limits.upper_mm) == ((0.0, 0.0, 0.0), (4000.0, 1300.0, 1500.0))
         assert limits.rapid_mm_per_s == pytest.approx((20000.0 / 60.0,) * 3)
+
+
+class TestAxisHoming(AxisHomingContract):
+    def test_only_modbus_has_no_command_for_it(self, rig: SimulatedRig) -> None:
+        assert isinstance(rig.machine, AxisHoming)
+        assert bool(rig.machine.why_no_homing()) == isinstance(rig.machine, ModbusCnc)
 
 
 class TestProbe(ProbeContract):

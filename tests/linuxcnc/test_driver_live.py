@@ -316,8 +316,13 @@ class TestFaults:
             assert not device.status().missing
             assert device.position() == pytest.approx(here, abs=1e-6)
             live.by_hand("mode(linuxcnc.MODE_MANUAL)", "teleop_enable(0)", "unhome(-1)")
-            device.home()
+            device.home_axes()
             assert not device.status().missing
+            device.home_axes()  # of joints that are homed already
+            assert not device.status().missing
+            assert device.position() == pytest.approx(here, abs=1e-6)
+            assert device.homing_directions() == (0, 0, 0)
+            assert "absolute encoder" in device.why_no_homing()
 
     def test_false_pin_withdraws_the_permission(self, live: Live) -> None:
         with live.opened(permissions={"doors_closed": "volcal-plant.probe"}) as device:

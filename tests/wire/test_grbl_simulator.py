@@ -7,13 +7,14 @@ from __future__ import annotations
 import os
 import re
 import select
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from drivers.errors import ConfigurationError
 from drivers.roles import Permission
-from simulators.scenario import read_scenario
+from simulators.scenario import Scenario, read_scenario
 from simulators.wire.grbl.controller import GrblController
 from simulators.wire.grbl.dialect import GRBL_11, GRBL_HAL, GrblDialect
 from simulators.wire.grbl.settings import GrblSettings
@@ -29,8 +30,15 @@ LOCKED = "[MSG:'$H'|'$X' to unlock]"
 class Terminal:
     """Terminal that types bytes, collects lines and advances time."""
 
-    def __init__(self, *, homed: bool = True, dialect: GrblDialect = GRBL_11, **settings: float) -> None:
-        self.world = World(read_scenario(SCENARIO).without_errors())
+    def __init__(
+        self,
+        *,
+        homed: bool = True,
+        dialect: GrblDialect = GRBL_11,
+        scenario: Scenario | None = None,
+        **settings: float,
+    ) -> None:
+        self.world = World(scenario or read_scenario(SCENARIO).without_errors())
         self._shared = SharedWorld(self.world)
         self._said = b""
         told = GrblSettings(self.world.controller.limits(), dialect=dialect)
@@ -220,6 +228,20 @@ def test_switched_on_it_is_locked_until_it_has_homed() -> None:
     assert grbl.type(b"?") == []  # no reports while homing
     assert grbl.wait(1000.0) == ["ok"]
     assert grbl.type(b"?")[0].startswith("<Idle|MPos:-1.000,-1.000,-1.000")
+
+
+def test_each_homing_sets_the_zero_anew() -> None:
+    document = read_scenario(SCENARIO)
+    axes = document.settings.axes.model_copy(update={"homing_um": 10.0})
+    scattering = replace(document, settings=document.settings.model_copy(update={"axes": axes}))
+    grbl = Terminal(scenario=scattering)
+    offsets = []
+    for _ in range(2):
+        assert [*grbl.type(b"$H\n"), *grbl.wait(1000.0)] == ["ok"]
+        assert grbl.type(b"?")[0].startswith("<Idle|MPos:-1.000,-1.000,-1.000")
+        offsets.append(grbl.world.controller.homing_offset_mm)
+    assert offsets[0] != offsets[1]
+    assert 0.0 < max(map(abs, offsets[0])) < 0.1
 
 
 def test_door_holds_and_waits_for_cycle_start(grbl: Terminal) -> None:

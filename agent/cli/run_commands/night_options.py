@@ -15,7 +15,7 @@ if will_run():
 
     from agent.cli.printing import facts_table, results_console
     from agent.cli.run_commands.local_run import run_here
-    from agent.cli.run_commands.run_summary import show_summary, time_rows
+    from agent.cli.run_commands.run_summary import homing_rows, show_summary, time_rows
     from agent.results.night_changes import possible_text
     from agent.results.run_outcome import NightReport, Outcome
     from agent.runs.run_request import RunRequest
@@ -78,6 +78,7 @@ def night_table(outcome: Outcome, night: NightReport) -> Table:
         *([("if one error changed", possible_text(night.alternatives))] if night.alternatives else []),
         *([("drift in one direction", night.drift.text)] if night.drift is not None else []),
         *([("warning", night.warning)] if night.warning else []),
+        *homing_rows(outcome),
         ("reason", night.reason or "none"),
     ]
     return facts_table(rows, title=f"{outcome.run_id}: {night.decision.value}")

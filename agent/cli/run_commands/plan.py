@@ -33,10 +33,13 @@ if will_run():
     from agent.planning.preflight import PreflightResult
     from agent.planning.run_minutes import minutes_by_phase, run_minutes
     from agent.probing.run_plan import position_key
+    from agent.results.facts import Quantity
     from agent.results.gate_forecast import GateForecast, forecast_gates, require_forecast
+    from agent.results.homing_scatter import after_homing_text
     from agent.results.predicted_accuracy import PredictedAccuracy, predict_accuracy
     from agent.runs.kinds.calibrate import calibration_of, preflight_of
-    from agent.runs.last_latencies import last_latencies
+    from agent.runs.last_homing import after_homing
+    from agent.runs.last_latencies import with_learned_latencies
     from agent.settings.load import load_settings, naming, with_overrides
     from twin.design.valuation import Valuation
     from twin.identification.hidden_step import HiddenStep
@@ -70,7 +73,8 @@ def plan_command(
         load_settings(config), position_set=position_set, stations=stations, formulation=formulation
     )
     with naming(config):
-        job = prepare_job(settings, config.resolve().parent)
+        base = config.resolve().parent
+        job = with_learned_latencies(prepare_job(settings, base), base)
         gates = forecast_gates(job)
     draw = _drawing(job, preview) if preview else None
     try:
@@ -124,7 +128,6 @@ def _document(
     files: list[Path],
 ) -> dict[str, object]:
     balls = sum(len(p.balls) for p in preflight.measured.positions)
-    learned = last_latencies(job.settings.state_directory, job.machine.name)
     return {
         "machine": job.machine.name,
         "artefact": job.artefact.name,
@@ -141,8 +144,7 @@ def _document(
         "touches": preflight.measured.touches + preflight.verified.touches,
         "machine_minutes": round(preflight.machine_minutes, 3),
         "machine_minutes_as_listed": round(before_minutes, 3),
-        "machine_minutes_learned": None if learned is None else round(learned.minutes(job, preflight), 3),
-        "latencies_from_run": None if learned is None else learned.run_id,
+        "latencies_from_run": job.latencies_from or None,
         "minutes_by_phase": minutes_by_phase(preflight.steps, job.held_out).as_json(),
         "minutes_by_station": {
             str(station): {part: round(minutes, 3) for part, minutes in parts.items()}
@@ -158,6 +160,7 @@ def _document(
         "parameters": expectation.parameters,
         "predicted_vce_um": expectation.vce.aligned_um,
         "predicted_vce_raw_um": expectation.vce.raw_um,
+        "after_homing": _after_homing(job, expectation),
         "valuation_percent": round(valuation.percent, 2),
         "hidden_step": _hidden_document(job),
         "gates": [forecast.as_json() for forecast in gates],
@@ -181,9 +184,10 @@ def _table(
         ("touches", str(measured.touches + preflight.verified.touches)),
         ("machine time", f"{preflight.machine_minutes:.1f} min ({before_minutes:.1f} as listed, by plain paths)"),
         ("of which", minutes_by_phase(preflight.steps, job.held_out).text),
-        *_learned_rows(job, preflight),
+        ("with the latencies", job.latencies_text),
         ("rank", f"{expectation.rank} of {expectation.parameters} parameters"),
         ("expected VCE", f"{expectation.vce.aligned_um:.2f} µm aligned"),
+        ("after a homing", after_homing_text(_after_homing(job, expectation))),
         ("valuation", f"{valuation.percent:.1f} % of the volumetric error is expected to be removed"),
         ("change while measuring", _hidden(job)),
         ("preflight took", f"{preflight.wall_seconds:.2f} s for {preflight.commands} steps"),
@@ -191,14 +195,9 @@ def _table(
     return facts_table(rows, title="preflight passed: no collision, no limit")
 
 
-def _learned_rows(job: Job, preflight: PreflightResult) -> list[tuple[str, str]]:
-    """Return a row with the machine time that the latencies of the machine's last complete run give; none without such
-    a run."""
-    learned = last_latencies(job.settings.state_directory, job.machine.name)
-    if learned is None:
-        return []
-    minutes = learned.minutes(job, preflight)
-    return [("as the last run waited", f"{minutes:.1f} min, with the latencies of run {learned.run_id}")]
+def _after_homing(job: Job, expectation: PredictedAccuracy) -> dict[str, object] | None:
+    after = after_homing(job)
+    return None if after is None else after.as_json(Quantity(expectation.vce.aligned_um))
 
 
 def _hidden_document(job: Job) -> dict[str, object] | None:

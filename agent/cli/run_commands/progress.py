@@ -63,4 +63,6 @@ def watching(console: Console) -> Iterator[Listener]:
 def _figures(announcement: Announcement) -> str:
     units = {"machine_minutes": "min of machine time", "commands": "steps", "wall_seconds": "s"}
     parts = [f"{significant(announcement.data[k], 4)} {unit}" for k, unit in units.items() if k in announcement.data]
+    latencies = announcement.data.get("latencies")
+    parts += [f"with the latencies {latencies}"] if latencies else []
     return f" ({', '.join(parts)})" if parts else ""

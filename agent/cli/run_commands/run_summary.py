@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from agent.cli.printing import facts_table, results_console, travel_rows
 from agent.execution.states import RunState
+from agent.results.homing_scatter import after_homing_text
 from agent.results.run_outcome import Outcome
 
 
@@ -40,9 +41,18 @@ def _rows(outcome: Outcome) -> list[tuple[str, str]]:
     if outcome.confirmed is not None:
         rows.append(("held-out positions", f"{outcome.confirmed.held_out_um:.2f} µm with the active compensation"))
         rows.append(("verdict", outcome.confirmed.text))
+    if outcome.night is None:
+        rows += homing_rows(outcome)
     if outcome.state in (RunState.COMPLETE, RunState.REFUSED):
         rows.append(("active bank", str(outcome.table_bank)))
     return rows
+
+
+def homing_rows(outcome: Outcome) -> list[tuple[str, str]]:
+    """Return a row about the accuracy after the next homing; none if the run says nothing about the accuracy."""
+    if outcome.ve_now is None:
+        return []
+    return [("after a homing", after_homing_text(outcome.after_homing_record))]
 
 
 def time_rows(outcome: Outcome) -> list[tuple[str, str]]:

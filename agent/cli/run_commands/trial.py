@@ -21,29 +21,50 @@ if will_run():
     from agent.results.run_outcome import Outcome
     from agent.results.trial_report import TrialReport
     from agent.runs.kinds.trial import OneBallTrial, with_checks
+    from agent.runs.last_latencies import with_learned_latencies
     from agent.settings.load import load_settings, naming, with_overrides
+
+FEWEST_HOMINGS, MOST_HOMINGS = 3, 30
+"""Numbers of homings that may be asked for. Fewer show no scatter, and more tell little else."""
 
 
 @click.command("try")
 @config_option
 @procedure_options
+@click.option(
+    "--homing",
+    "homings",
+    type=click.IntRange(FEWEST_HOMINGS, MOST_HOMINGS),
+    metavar="N",
+    help=f"Home the axes N times ({FEWEST_HOMINGS} to {MOST_HOMINGS}) and measure the ball after each homing.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end.")
 @reported
 def try_command(
-    config: Path, position_set: str | None, stations: list[int] | None, formulation: str | None, as_json: bool
+    config: Path,
+    position_set: str | None,
+    stations: list[int] | None,
+    formulation: str | None,
+    homings: int | None,
+    as_json: bool,
 ) -> None:
     """Measure one ball, check probe and latch on it, and write nothing: the first run on a machine.
 
     The artefact is brought to the first position of the run. A ball is located at the feed of guarded moves and touched
     as in a calibration. Then the repeatability of the probe, the delay of its latch, the stylus and the reversal of the
     axes are measured, as far as the settings enable them.
+
+    With --homing, the probe is then withdrawn, the controller homes all axes on its own paths, and the ball is measured
+    again, N times. This gives the scatter of the homing of each axis, which later runs count in the accuracy after a
+    homing.
     """
     settings = with_overrides(
         load_settings(config), position_set=position_set, stations=stations, formulation=formulation
     )
     base = config.resolve().parent
     with naming(config):
-        ended = carry_out_here(prepare_job(with_checks(settings), base), OneBallTrial(), base)
+        job = with_learned_latencies(prepare_job(with_checks(settings), base), base)
+        ended = carry_out_here(job, OneBallTrial(homings=homings or 0), base)
     if as_json:
         click.echo(json.dumps(ended.outcome.as_json(), allow_nan=False))
     elif ended.outcome.trial is not None:
@@ -76,6 +97,7 @@ def _trial_table(outcome: Outcome, trial: TrialReport) -> Table:
         ("radius of ball and tip", f"{trial.radius_mm:.4f} mm, {pretravel_um:.1f} µm smaller than nominal"),
         ("form", f"{trial.form_um:.1f} µm"),
         *((name[0].lower() + name[1:], text) for name, text in trial.checks),
+        *((name[0].lower() + name[1:], text) for name, text in (trial.homing.rows if trial.homing else ())),
         *time_rows(outcome),
         ("touches", str(outcome.touches)),
         ("compensation", f"bank {outcome.table_bank}, as before" if outcome.table_bank else "none, as before"),

@@ -210,6 +210,7 @@ class RunFacts:
     compensation table before the run, the table that was written, and the controller's bank that is active at the end.
     `trend` is an SVG that shows the main results of all runs up to this run. `drifts_um` contains one value in µm for
     each position: the displacement of the position's first ball when it was measured again at the end of the position.
+    `after_homing` states the accuracy after the next homing; it is empty if the run states none.
     """
 
     touches: int | None = None
@@ -228,6 +229,7 @@ class RunFacts:
     drifts_um: tuple[float, ...] = ()
     events: tuple[EventLine, ...] = ()
     probe: ProbeFacts | None = None
+    after_homing: str = ""
 
 
 @dataclass(frozen=True, eq=False)

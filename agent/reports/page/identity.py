@@ -128,8 +128,8 @@ def _machine(identification: IdentificationData) -> Rows:
 
 
 def validity(data: ReportData, identification: IdentificationData) -> list[str]:
-    """Return statements about the tool offset, about the thermometer of the artefact, and about the region of the
-    workspace for which the result is valid."""
+    """Return statements about the tool offset, about the thermometer of the artefact, about the accuracy after a
+    homing, and about the region of the workspace for which the result is valid."""
     seen = identification.observations
     used = [seen.tool_offsets[tool] for tool in np.unique(seen.tool)]
     lengths = " and ".join(point(offset) for offset in used)
@@ -143,10 +143,12 @@ def validity(data: ReportData, identification: IdentificationData) -> list[str]:
         first = f"Measured with {len(used)} tool offsets, {lengths}; the table is made for {point(data.tool_offset)}."
     low, high = seen.axis_positions.min(axis=0), seen.axis_positions.max(axis=0)
     spans = ", ".join(f"{axis} {low[i]:.0f} to {high[i]:.0f}" for i, axis in enumerate("XYZ"))
+    homing = [f"After a homing: {data.run.after_homing}."] if data.run.after_homing else []
     thermometer = [] if identification.thermometer is None else [identification.thermometer.text]
     return [
         first,
         *thermometer,
+        *homing,
         f"Balls were measured at axis positions {spans} mm. Outside of them the model extrapolates.",
         "A common scale error of all certified lengths looks like scale errors of the machine's axes and cannot be "
         "seen with this artefact alone, only with a length measured independently.",

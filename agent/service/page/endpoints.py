@@ -16,6 +16,7 @@ from agent.planning.job_preparation import prepare_job
 from agent.reports.render_in_subprocess import render_in_subprocess
 from agent.runs.kinds.calibrate import calibration_of
 from agent.runs.kinds.restoration import TableRole, stored_table
+from agent.runs.last_latencies import with_learned_latencies
 from agent.service.http.app_state import AppStateDependency
 from agent.service.http.problems import DOCUMENTED
 from agent.service.page.result_cache import ResultCache
@@ -79,7 +80,8 @@ def page_router() -> APIRouter:
     @router.get("/worth")
     def worth(app_state: AppStateDependency) -> Document:
         """Return the position set of the settings, its expected benefit, and the loss if each position were omitted."""
-        return set_values.document(prepare_job(app_state.settings(), app_state.config.parent))
+        base = app_state.config.parent
+        return set_values.document(with_learned_latencies(prepare_job(app_state.settings(), base), base))
 
     @router.get("/tables/{run_id}/{role}.csv")
     def table(app_state: AppStateDependency, run_id: str, role: TableRole) -> Response:
@@ -202,6 +204,7 @@ def set_value_document(job: Job) -> Document:
     return {
         "position_set": job.settings.procedure.position_set.rpartition("/")[2],
         "minutes": minutes.total,
+        "latencies_from": job.latencies_from,
         "balls": int(candidates.balls.sum()),
         "before_um": worth.before.aligned_um,
         "after_um": after_um,

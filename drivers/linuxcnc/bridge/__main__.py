@@ -285,12 +285,17 @@ class Bridge:
         self._await(lambda stat: stat.task_mode == mode, f"change to mode {MODES[mode]}")
 
     def _home(self, _request: Fields) -> Fields:
-        """Start homing all joints, in the sequence of the INI file."""
+        """Start homing all joints, in the sequence of the INI file. They are unhomed first: otherwise the end of the
+        homing of joints that are homed already could not be told from its beginning."""
         self._poll()
         if self._stat.task_state != linuxcnc.STATE_ON:
             raise RefusedError("the machine is not on")
         self._set_mode(linuxcnc.MODE_MANUAL)
         self._command.teleop_enable(0)
+        joints = range(self._stat.joints)
+        if any(self._stat.homed[n] for n in joints):
+            self._command.unhome(-1)
+            self._await(lambda stat: not any(stat.homed[n] for n in joints), "unhome the joints")
         self._command.home(-1)
         self._begin()
         return {}

@@ -142,6 +142,10 @@ class GrblAxes:
         known = [instant for instant in (self._physics.motion_ends_s, free_s) if instant is not None]
         return min(known, default=None)
 
+    def set_zero(self) -> None:
+        """Set the zero of every axis anew, at the end of a homing."""
+        self._physics.set_zero()
+
     def hold(self) -> None:
         self._physics.hold()
 

@@ -374,6 +374,7 @@ class GrblController:
         self._axes.begin(PlannedMove((pull_off, pull_off, pull_off), self.settings[25]))
         self.state = GrblState.HOME
         yield lambda: not self._axes.moving
+        self._axes.set_zero()
         self.state, self._axes.current_move = GrblState.IDLE, None
         self._planned_mm = self._axes.position()
         self._homed = True

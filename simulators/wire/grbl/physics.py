@@ -11,7 +11,9 @@ from simulators.wire.modbus.physics import MovingMachine
 
 
 class GrblPhysics(MovingMachine, Protocol):
-    """Interface of a moving machine that also predicts the times of its next events."""
+    """Interface of a moving machine that homes its axes and also predicts the times of its next events."""
+
+    def set_zero(self) -> None: ...
 
     @property
     def motion_ends_s(self) -> float | None: ...

@@ -78,7 +78,9 @@ STATUS = {
     "pins": [],
     "monotonic_s": 0.0,
 }
-INI = ["10", "100"] * 3 + ["2"] * 3 + ["1000000", "case-study", "10"]
+AXES = ["10", "100"] * 3
+SEARCHES = [None, "0.0", "-20 # towards the table"]
+INI = [*AXES, *["2"] * 3, *SEARCHES, "1000000", "case-study", "10"]
 TARGET = np.array([10.0, 2.0, 3.0])
 Script = dict[str, list[Any]]
 Make = Callable[..., LinuxCnc]
@@ -115,6 +117,29 @@ def make(tmp_path: Path) -> Iterator[Make]:
     for device in made:
         with suppress(DeviceError):  # modes cannot be restored while an axis still moves
             device.close()
+
+
+class TestHoming:
+    def test_directions_are_the_signs_of_the_search_speeds(self, make: Make) -> None:
+        device = make(script())
+        assert device.homing_directions() == (0, 0, -1)
+        assert "absolute encoder" in device.why_no_homing()
+        switches = [*AXES, None, None, "2", "15", "x", "-20", "1000000", "case-study", "10"]
+        with_switches = make(script(ini=[{"ok": {"values": switches}}]))
+        assert with_switches.homing_directions() == (1, 0, -1)
+        assert with_switches.why_no_homing() == ""
+
+    def test_axes_are_homed_when_they_were_seen_unhomed_and_homed_again(self, make: Make) -> None:
+        looks = [look(), look(homed=False, homing=True), look(homed=False, homing=True), look()]
+        device = make(script(status=looks, home=[{"ok": {}}]))
+        device.home_axes()
+        assert not device.status().missing
+
+    def test_a_homing_that_fails_says_why(self, make: Make) -> None:
+        looks = [look(), look(homed=False, homing=True), look(homed=False, errors=["joint 2 home switch not found"])]
+        device = make(script(status=looks, home=[{"ok": {}}], abort=[{"ok": {}}]))
+        with pytest.raises(CommandRejected, match="homing failed: joint 2 home switch not found"):
+            device.home_axes()
 
 
 @pytest.fixture
@@ -375,7 +400,7 @@ class TestDoctor:
         assert f"Y {abs(least_y):g} mm" in found.text
 
     def test_long_servo_period_is_reported(self, make: Make) -> None:
-        slow = [*INI[:9], "2000000", *INI[10:]]
+        slow = [*INI[:12], "2000000", *INI[13:]]
         found = self.findings(make(script(ini=[{"ok": {"values": slow}}, {"ok": {"values": [None] * 10}}])))
         assert not found["[EMCMOT]SERVO_PERIOD"].ok
         assert "up to 10.0 µm" in found["[EMCMOT]SERVO_PERIOD"].text

@@ -16,6 +16,7 @@ from drivers.clock import ScaledClock
 from drivers.errors import (
     CommandRejected,
     ConfigurationError,
+    DeadlineExpired,
     GuardTripped,
     LinkLost,
     LinkTimeout,
@@ -33,6 +34,7 @@ from simulators.wire.grbl.dialect import GRBL_11, GRBL_HAL, GrblDialect
 from simulators.wire.time_server import Ticker
 
 FAR = np.array([1000.0, 0.0, 0.0])
+FAST_HOMING = {25: 12000.0}
 
 
 @pytest.fixture
@@ -348,6 +350,84 @@ class TestTheControllerIntervenes:
             go_far(grbl)
         with pytest.raises(CommandRejected, match=r"home the machine \(\$H\)"):
             grbl.device.reset()
+
+    def test_homing_brings_the_axes_to_their_switches_and_ends_a_lock(self, tmp_path: Path) -> None:
+        with rig(tmp_path, homed=False, settings=FAST_HOMING) as grbl:
+            grbl.device.open()
+            assert Permission.NO_FAULT in grbl.device.status().missing
+            assert grbl.device.why_no_homing() == ""
+            assert grbl.device.homing_directions() == (1, 1, 1)
+            grbl.device.home_axes()
+            assert not grbl.device.status().missing
+            upper = np.array(grbl.device.limits().upper_mm)
+            assert grbl.device.position() == pytest.approx(upper - 1.0, abs=1e-3)
+            go_far(grbl)
+            grbl.device.home_axes()  # axes that are homed already
+            assert grbl.device.position() == pytest.approx(upper - 1.0, abs=1e-3)
+
+    @pytest.mark.parametrize("dialect", [GRBL_11, GRBL_HAL])
+    @pytest.mark.parametrize("code", [6, 8, 9])
+    def test_homing_that_fails_is_a_fault_and_the_position_is_lost(
+        self, tmp_path: Path, code: int, dialect: GrblDialect
+    ) -> None:
+        with rig(tmp_path, dialect=dialect, settings=FAST_HOMING) as grbl:
+            grbl.device.open()
+            grbl.port.controller.homing_fails = code
+            with pytest.raises(MotionFault, match=rf"homing failed: .*alarm {code}"):
+                grbl.device.home_axes()
+            assert Permission.REFERENCED in grbl.device.status().missing
+            grbl.port.controller.homing_fails = None
+            grbl.device.home_axes()
+            assert not grbl.device.status().missing
+
+    def test_a_homing_that_is_interrupted_is_ended_and_the_position_is_lost(self, tmp_path: Path) -> None:
+        class AbortedError(Exception):
+            pass
+
+        with rig(tmp_path, settings=FAST_HOMING) as grbl:
+            grbl.device.open()
+
+            def abort() -> None:
+                assert grbl.world.controller.motion is MotionState.MOVING
+                raise AbortedError
+
+            grbl.at(grbl.clock.now() + 5.0, abort)
+            with pytest.raises(AbortedError):
+                grbl.device.home_axes()
+            status = grbl.device.status()
+            assert stands_still(grbl)
+            assert status.state is MotionState.FAULT
+            assert Permission.REFERENCED in status.missing
+            grbl.device.home_axes()
+            assert not grbl.device.status().missing
+
+    def test_homing_that_does_not_end_in_time_is_ended(self, tmp_path: Path) -> None:
+        with rig(tmp_path, homing_timeout_s=5.0) as grbl:
+            grbl.device.open()
+            with pytest.raises(DeadlineExpired, match="end of homing"):
+                grbl.device.home_axes()
+            assert grbl.device.status().state is MotionState.FAULT
+            assert stands_still(grbl)
+
+    def test_homing_is_refused_with_the_door_open_and_in_a_motion(self, grbl: Rig) -> None:
+        grbl.world.controller.granted[Permission.DOORS_CLOSED] = False
+        with pytest.raises(CommandRejected, match="door is open"):
+            grbl.device.home_axes()
+        grbl.world.controller.granted[Permission.DOORS_CLOSED] = True
+        grbl.type(b"~")
+        grbl.line.on_line = lambda line: b"" if line == b"ok\r\n" else line  # of the line of another user
+        grbl.type(b"G53G1X-3990F600\n")
+        grbl.line.on_line = None
+        with pytest.raises(CommandRejected, match="not idle: Run"):
+            grbl.device.home_axes()
+
+    def test_homing_is_refused_where_it_is_off(self, tmp_path: Path) -> None:
+        with rig(tmp_path, settings={22: 0, 23: 5}, manual_referencing=True) as grbl:
+            grbl.device.open()
+            assert grbl.device.homing_directions() == (-1, 1, -1)
+            assert grbl.device.why_no_homing() == "$22=0: homing is off in the controller"
+            with pytest.raises(CommandRejected, match=r"\$22=0: homing is off"):
+                grbl.device.home_axes()
 
     def test_homing_that_is_off_says_what_to_set(self, tmp_path: Path) -> None:
         with rig(tmp_path, settings={22: 0}) as grbl:

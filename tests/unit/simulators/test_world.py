@@ -75,6 +75,28 @@ def test_the_tip_is_where_the_table_and_the_true_field_put_it() -> None:
     assert tip == pytest.approx(bare + TOOL + world.truth.machine.deviation(bare[None])[0], abs=1e-12)
 
 
+def test_a_homing_displaces_the_zero_of_each_axis_by_its_scatter() -> None:
+    scenario = case_study()
+    axes = AxisBehaviour(repeatability_um=0.0, backlash_um=0.0, homing_um=(5.0, 0.0, 20.0))
+    settings = scenario.settings.model_copy(update={"axes": axes})
+    world = World(type(scenario)(settings, scenario.machine, scenario.artefact))
+    controller, x = world.controller, (1234.0, 567.0, 890.0)
+    former = np.array(controller.contacts.tip(x))
+    found = []
+    for _ in range(400):
+        controller.set_zero()
+        offset = np.array(controller.homing_offset_mm)
+        # the machine has its deviation where the slides are
+        bare = np.array(x) + offset
+        assert np.array(controller.contacts.tip(x)) == pytest.approx(
+            bare + TOOL + world.truth.machine.deviation(bare[None])[0], abs=1e-12
+        )
+        found.append(offset)
+    sigma_um = 1e3 * np.std(found, axis=0, ddof=1)
+    assert sigma_um == pytest.approx([5.0, 0.0, 20.0], rel=0.15)
+    assert np.abs(np.array(controller.contacts.tip(x)) - former).max() > 1e-4
+
+
 def test_tables_are_trilinear_inside_and_keep_the_border_outside() -> None:
     # f = x + 2y + 3z + xyz is trilinear: the interpolation is exact everywhere inside.
     axes = np.arange(3.0)

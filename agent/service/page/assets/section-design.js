@@ -13,7 +13,9 @@ export async function parts() {
   return [
     heading("design.title"),
     facts([["design.set", worth.position_set], ["design.positions", number(worth.positions.length, 0)], ["design.balls", number(worth.balls, 0)],
-      ["design.minutes", say("unit.minutes", { minutes: number(worth.minutes, 1) })], ["design.before", um(worth.before_um)], ["design.after", um(worth.after_um)],
+      ["design.minutes", say("unit.minutes", { minutes: number(worth.minutes, 1) })],
+      ["design.latencies", worth.latencies_from || say("design.latencies_stated")],
+      ["design.before", um(worth.before_um)], ["design.after", um(worth.after_um)],
       ["design.percent", say("unit.percent", { value: number(worth.percent, 1) })]]),
     remark("design.is"),
     table(["place.number", "place.azimuth", "place.elevation", "design.balls", "design.lost"].map((key) => say(key)),
