@@ -235,5 +235,9 @@ def test_a_target_that_is_reached_ends_the_run_before_its_slot(reaching: tuple) 
     assert end == STOP
     assert len(chosen) == MIN_POSITIONS
     assert last["reached"]  # type: ignore[index]
+    with open_journal(directory / STATE) as reader:
+        [row] = reader.runs()
+        notes = [str(event.record.get("note", "")) for event in reader.events(row.run)]
+    assert any(note.startswith("6 positions: the upper limit of the VCE, ") for note in notes)
     stated = ended.outcome.as_json()["predicted_vce_limits_um"]
     assert last["limits_um"] == pytest.approx(stated)  # type: ignore[index]

@@ -194,7 +194,7 @@ def _chosen(
     ways: dict[str, Callable[[], RunPlan]] = {
         name: partial(_proved, running, measured, record, refused, position, left) for name, position in offered.items()
     }
-    ways[STOP] = partial(_stopped, running, measured)
+    ways[STOP] = partial(_stopped, running, measured, record)
     planned = position_key(task.planned[number]) if number < len(task.planned) and not refused else STOP
     # beforehand, the end is walked where it can first come and where the slot is over
     walked = (planned, STOP) if number == MIN_POSITIONS and planned != STOP else (planned,)
@@ -262,9 +262,10 @@ class _Proof:
         return None
 
 
-def _stopped(running: _Running, measured: MeasuredPositions) -> RunPlan:
+def _stopped(running: _Running, measured: MeasuredPositions, record: Mapping[str, Any]) -> RunPlan:
     """Measure the held-out positions, and write and prove a table from what was measured."""
     task, ready, number = running.task, running.ready, len(measured.positions)
+    yield Record("sequential/end", "event", {"note": _end_text(number, record, task.end)})
     own = with_positions(task.job, _positions_of(measured))
     yield known("sequential/job", own)
     order = held_out_order(own, measured.standing_at, number)
@@ -282,6 +283,14 @@ def _stopped(running: _Running, measured: MeasuredPositions) -> RunPlan:
             lambda everything: concluded(own_task, own_ready, everything, nothing_more),
         )
     )
+
+
+def _end_text(number: int, record: Mapping[str, Any], end: SequentialEnd) -> str:
+    """Return the reason why the measurement ends after `number` positions, from the record of the last choice."""
+    if record.get("reached"):
+        upper = record["limits_um"][1]
+        return f"{number} positions: the upper limit of the VCE, {upper:.2f} µm, is below {end.target_um:g} µm"
+    return f"{number} positions: only the time of the held-out positions and of the proof is left"
 
 
 def with_positions(job: Job, positions: tuple[Position, ...]) -> Job:

@@ -41,7 +41,7 @@ def plan_sequential(
     while len(positions) >= MIN_POSITIONS:
         own = replace(calibration, job=with_positions(job, positions))
         planned = planned_run(SequentialTask(own, candidates, end, positions))
-        left = end.left(planned.preflight.longest_minutes)
+        left = end.left(planned.preflight.machine_minutes)
         if left < 0.0 and found is None:
             positions = positions[:-1]
             continue
