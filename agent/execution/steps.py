@@ -261,6 +261,19 @@ class Decide:
 
 
 @dataclass(frozen=True, slots=True)
+class ComputeOnce:
+    """Step: computation of a record from what was measured, such as the ranking of the positions that may be measured
+    next. `compute` returns a mapping of names to JSON values, which is the result of the step.
+
+    The result is journaled: a resumed run takes it from the journal instead of computing it again. In a preflight, the
+    result is an empty mapping.
+    """
+
+    key: str
+    compute: Callable[[], Mapping[str, Any]]
+
+
+@dataclass(frozen=True, slots=True)
 class ProvePlan:
     """Step: preflight of a plan that was chosen during the run, from where the machine stands.
 
@@ -297,6 +310,7 @@ Step: TypeAlias = (
     | Enter
     | Conclude
     | Decide
+    | ComputeOnce
     | ProvePlan
 )
 
@@ -315,12 +329,16 @@ class Fork:
     each way as a plan of its own, from a copy of the simulated machine. `choose` returns the name of the outcome;
     `expected` is the outcome from which the machine time of the run is predicted. `key` is the key of the step
     `Decide`.
+
+    `walked` names the outcomes that the preflight walks; if it is None, these are all. A way that is not walked
+    beforehand must prove its motions (`ProvePlan`) before it moves anything.
     """
 
     key: str
     choose: Callable[[], str]
     ways: Mapping[str, Callable[[], RunPlan]]
     expected: str
+    walked: tuple[str, ...] | None = None
 
 
 RunPlan: TypeAlias = Generator[Step, Any, Fork | None]

@@ -94,12 +94,13 @@ class BranchWalk:
         return self.branch()
 
     def branches(self, plan: RunPlan) -> Iterator[Branch]:
-        """Walk `plan` in every branch. The first branch is the expected one."""
+        """Walk `plan` in every branch that is walked beforehand. The first branch is the expected one."""
         fork = self.run(plan)
         if fork is None:
             yield self.branch()
             return
-        for way in sorted(fork.ways, key=lambda name: name != fork.expected):
+        walked = fork.ways if fork.walked is None else fork.walked
+        for way in sorted(walked, key=lambda name: name != fork.expected):
             fresh = self._copy()
             fresh._decided(fork, way)
             yield from fresh.branches(fork.ways[way]())

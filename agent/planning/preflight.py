@@ -27,6 +27,16 @@ from drivers.registry import DeviceContext, create_device
 from drivers.roles import CompensationStore, Machine, Operator, Probe, Thermometer
 from twin.units import S_PER_MIN
 
+
+@dataclass(frozen=True)
+class Standing:
+    """Place of the artefact between two positions: its station, and the azimuth and elevation of the mount there."""
+
+    station: int
+    azimuth_deg: float
+    elevation_deg: float
+
+
 NOTHING_MEASURED = MeasuredPositions((), (), 0, None, {})
 
 
@@ -98,20 +108,22 @@ def run_preflight(
     watch: Callable[[], None] = never_interrupted,
     *,
     every_branch: bool = True,
+    standing: Standing | None = None,
 ) -> PreflightResult:
     """Execute the plan of a whole run on a simulated machine without errors.
 
     `plan_of` returns the plan of the run of `job`. `start_mm` contains the axis positions of the real machine in mm. If
     it is None, the simulated machine starts at its own initial positions. `watch` is called after every step and may
     raise an error to interrupt the preflight. If `every_branch` is False, only the expected branch is executed, which
-    suffices to compare the machine times of several plans.
+    suffices to compare the machine times of several plans. `standing` is the place of the artefact at the start; if it
+    is None, it is that of the settings, with both angles of the mount zero.
 
     Raises PlanRefused if a step breaks a safety rule or fails; the error names the step and, for a collision, the two
     bodies that collide. Raises ConfigurationError if the plan measures positions or verifies a table, but no position
     can be measured. Errors raised by `watch` are passed on.
     """
     began, clock = wall_seconds(), VirtualClock()
-    rig = assemble_preflight_rig(job, clock, start_mm)
+    rig = assemble_preflight_rig(job, clock, start_mm, standing)
     rules = safety_rules(job.settings.procedure, job.settings.stations, carried=not job.rules.change.own_mounts)
     model = time_model(job.machine, job.settings.timing)
     rig.open()
@@ -161,12 +173,15 @@ def _require_measured(branch: Branch) -> None:
         )
 
 
-def assemble_preflight_rig(job: Job, clock: VirtualClock, start_mm: Point | None) -> Rig:
+def assemble_preflight_rig(
+    job: Job, clock: VirtualClock, start_mm: Point | None, standing: Standing | None = None
+) -> Rig:
     """Return a rig for the simulated execution of the plan of `job`. One simulated device has all roles: machine,
     probe, mount and so on.
 
     The setting `preflight.driver` names the driver of this device. The device simulates the machine described by the
-    machine file, but without geometric errors, because a preflight checks only the procedure.
+    machine file, but without geometric errors, because a preflight checks only the procedure. `standing` is the place
+    of the artefact at the start, as for `run_preflight`.
     """
     settings = job.settings
     options: dict[str, object] = {
@@ -183,6 +198,8 @@ def assemble_preflight_rig(job: Job, clock: VirtualClock, start_mm: Point | None
     }
     if start_mm is not None:
         options["start_mm"] = list(start_mm)
+    if standing is not None:
+        options |= _standing_options(job, standing)
     context = DeviceContext("preflight", clock, settings.machine.parent)
     device = create_device(settings.preflight.driver, options, context)
     devices = {"preflight": device}
@@ -200,6 +217,17 @@ def assemble_preflight_rig(job: Job, clock: VirtualClock, start_mm: Point | None
         operator=in_role(devices, "preflight", Operator, "preflight.driver"),
         clock=clock,
     )
+
+
+def _standing_options(job: Job, standing: Standing) -> dict[str, object]:
+    """Return the options of the simulated machine that say where the artefact stands. Mounts of the other stations are
+    parked."""
+    angles = [standing.azimuth_deg, standing.elevation_deg]
+    change = job.rules.change
+    if not change.own_mounts:
+        return {"standing_at": standing.station, "mounts_deg": [angles]}
+    parked = list(change.parked_deg)
+    return {"mounts_deg": [angles if station == standing.station else parked for station in change.own_mounts]}
 
 
 def _own_at_stations(job: Job) -> dict[str, object]:

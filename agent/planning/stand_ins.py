@@ -60,5 +60,6 @@ def stand_in_answers(entered: Callable[[s.Enter], None] = lambda _: None) -> dic
     return {
         s.Enter: entered,
         s.Conclude: lambda step: step.stand_in,
+        s.ComputeOnce: lambda _: {},
         s.ProvePlan: lambda _: 0.0,
     }

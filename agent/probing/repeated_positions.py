@@ -53,6 +53,19 @@ def measure_with_repeats(
     continues with the plan that `then` returns for the measurements.
     """
     measured = yield from measure_positions(order, layout, rules)
+    return (yield from repeat_if_changed(order.prefix, measured, layout, rules, repeats, then))
+
+
+def repeat_if_changed(
+    prefix: str,
+    measured: MeasuredPositions,
+    layout: MeasuringLayout,
+    rules: PositionRules,
+    repeats: RepeatRules,
+    then: Callable[[MeasuredPositions], RunPlan],
+) -> RunPlan:
+    """Measure positions of the first station in `measured` again according to `repeats`. The run then continues with
+    the plan that `then` returns for all measurements. `prefix` begins the key of the decision."""
     if repeats.closing:
         reason = "positions of the first station are measured again, to see if the machine has changed"
         return (yield from _repeated(measured, repeats.closing, reason, layout, rules, then))
@@ -63,7 +76,7 @@ def measure_with_repeats(
     choice = REPEATED if change_k >= repeats.threshold_k else ONCE
     reason = f"the machine has changed by {change_k:.2f} K: positions of the first station are measured again"
     return Fork(
-        f"{order.prefix}/repeat",
+        f"{prefix}/repeat",
         lambda: choice,
         {ONCE: lambda: then(measured), REPEATED: lambda: _repeated(measured, first, reason, layout, rules, then)},
         expected=choice,
@@ -90,8 +103,10 @@ def measured_balls(measured: MeasuredPositions) -> list[MeasuredBall]:
 
 def join_measured(one: MeasuredPositions, other: MeasuredPositions) -> MeasuredPositions:
     """Join the measured positions `one` and `other` into one result. The position numbers of `other` are increased, so
-    that they continue the numbers of `one`."""
+    that they continue the numbers of `one`, unless they do so already."""
     start = max((ball.position for ball in measured_balls(one)), default=-1) + 1
+    if min((ball.position for ball in measured_balls(other)), default=0) >= start:
+        start = 0
     return MeasuredPositions(
         positions=(*one.positions, *(_renumbered(position, start) for position in other.positions)),
         left_out=(*one.left_out, *other.left_out),

@@ -46,13 +46,15 @@ class MeasuringOrder:
 
     `standing_at` is the artefact's station at the start of the plan. It is None if the station is not known, or if
     every station has an artefact of its own and all mounts are parked. `placed` is the position in which an artefact
-    that is placed by hand stands; it is None if it must be placed first.
+    that is placed by hand stands; it is None if it must be placed first. The first position has the number
+    `first_number`.
     """
 
     prefix: str
     positions: tuple[Position, ...]
     standing_at: int | None
     placed: Position | None = None
+    first_number: int = 0
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,7 @@ def measure_positions(
     unreachable = 0
     planner = create_path_planner(rules.retreat, rules.probing, layout)
     entered_key = ""
-    for index, position in enumerate(order.positions):
+    for index, position in enumerate(order.positions, start=order.first_number):
         if position.station != standing_at:
             if entered_key:
                 yield from planner.leave(entered_key, measured_positions[-1].last_mm)

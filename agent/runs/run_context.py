@@ -99,6 +99,7 @@ def run_actions(
         s.Enter: lambda step: tracker.enter(step.state, step.reason()),
         s.Conclude: conclude,
         s.Decide: lambda step: step.choose(),
+        s.ComputeOnce: lambda step: step.compute(),
         s.ProvePlan: prove,
     }
     return {**actions, **hooks.answers(actions)}

@@ -13,6 +13,7 @@ STUDIES: dict[str, str] = {
     "coverage": "agent.studies.coverage:run",
     "misalignment": "agent.studies.misalignment:run",
     "monte-carlo": "agent.studies.monte_carlo:run",
+    "sequential": "agent.studies.sequential:run",
     "strategy": "agent.studies.strategy:run",
     "trajectory": "agent.studies.trajectory:run",
     "volumetric-error": "agent.studies.volumetric_error:run",

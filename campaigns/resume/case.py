@@ -24,6 +24,7 @@ from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
 from agent.planning.preflight import never_interrupted, run_preflight
 from agent.runs.kinds.calibrate import FullCalibration
+from agent.runs.planned_run import Kind
 from agent.runs.resume.resume import resume
 from agent.runs.run_context import RunHooks
 from agent.runs.session import RunResult, carry_out
@@ -44,6 +45,9 @@ at ``durable`` its result is durable.
 
 STATE = Path("state")
 """State directory. The path is relative, so that a process resumes a copied state by changing the working directory."""
+
+
+CALIBRATION = FullCalibration()
 
 
 class Killed(BaseException):
@@ -147,11 +151,9 @@ def cache_preflight() -> None:
     """
     done: dict[Any, Any] = {}
 
-    def once(
-        job: Job, plan_of: Any, start_mm: Any = None, watch: Any = never_interrupted, *, every_branch: bool = True
-    ) -> Any:
+    def once(job: Job, plan_of: Any, start_mm: Any = None, watch: Any = never_interrupted, **how: Any) -> Any:
         if start_mm not in done:
-            done[start_mm] = run_preflight(job, plan_of, start_mm, watch, every_branch=every_branch)
+            done[start_mm] = run_preflight(job, plan_of, start_mm, watch, **how)
         return done[start_mm]
 
     agent.runs.planned_run.run_preflight = once  # type: ignore[attr-defined]
@@ -163,9 +165,9 @@ class ResumeMachine:
 
     world: World
 
-    def run(self, settings: Settings, kill_switch: KillSwitch | None = None) -> RunResult:
+    def run(self, settings: Settings, kill_switch: KillSwitch | None = None, kind: Kind = CALIBRATION) -> RunResult:
         job = prepare_job(settings, Path.cwd())
-        return carry_out(job, FullCalibration(), Path.cwd(), self._hooks(kill_switch), run_id="run")
+        return carry_out(job, kind, Path.cwd(), self._hooks(kill_switch), run_id="run")
 
     def resume(self) -> RunResult:
         return resume(STATE, self._hooks(None))

@@ -31,6 +31,12 @@ class NormalEquations:
     square: float
     rows: int
 
+    def plus(self, other: NormalEquations) -> NormalEquations:
+        """Return the normal equations of both sets of equations together; they have the same unknowns."""
+        return NormalEquations(
+            self.matrix + other.matrix, self.right + other.right, self.square + other.square, self.rows + other.rows
+        )
+
     def misfit_square(self, z: Array) -> float:
         """Return the sum of squares |A z - y|² of the equations with the design matrix A and the right side y, at the
         unknowns z."""

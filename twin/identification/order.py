@@ -14,7 +14,7 @@ strong evidence against them. The prior of the parameters prevents the chosen or
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from twin.artefact.artefact import Artefact
@@ -73,7 +73,14 @@ def identify_by_evidence(
     )
 
 
+def likeliest_order(log_evidence: Mapping[int, float]) -> int:
+    """Return the highest of the orders that no other order beats by very strong evidence. `log_evidence` maps each
+    order to its log evidence."""
+    best = max(log_evidence.values())
+    return max(order for order, log in log_evidence.items() if log > best - _VERY_STRONG)
+
+
 def _compare(evidence: dict[int, tuple[float, Scales]]) -> tuple[OrderEvidence, ...]:
     best = max(log for log, _ in evidence.values())
-    chosen = max(order for order, (log, _) in evidence.items() if log > best - _VERY_STRONG)
+    chosen = likeliest_order({order: log for order, (log, _) in evidence.items()})
     return tuple(OrderEvidence(order, log - best, scales, order == chosen) for order, (log, scales) in evidence.items())

@@ -113,6 +113,19 @@ def log_evidence_and_scales(
     return log_evidence(normal, precision, scales), scales
 
 
+def normal_equations(problem: IdentificationProblem) -> NormalEquations:
+    """Return the normal equations of the ball centres of `problem`, weighted by their covariances and linearised at
+    z = 0. Those of several positions with the same unknowns are the sum of those of each position."""
+    equations = _equations(problem, "centres", unit_weights=False)
+    return _normal(equations, np.zeros(problem.blocks.size), problem.poses)[0]
+
+
+def free_precision(problem: IdentificationProblem) -> PriorPrecision:
+    """Return the prior precision of the unknowns of `problem` as it is used if the scales are estimated."""
+    unknowns = problem.unknowns
+    return PriorPrecision(problem.blocks, problem.known, SeriesPrior.of(unknowns.model, unknowns.scale))
+
+
 def _equations(
     problem: IdentificationProblem, formulation: Formulation, unit_weights: bool, cut_off: float | None = None
 ) -> Equations:

@@ -10,9 +10,10 @@ import click
 from agent.cli.errors import reported
 from agent.cli.invocation import will_run
 from agent.cli.options import config_option, procedure_options
+from agent.cli.run_commands.sequential_options import SequentialOptions, sequential_options
 
 if will_run():
-    from agent.cli.run_commands.local_run import calibration_here, conclude, run_here
+    from agent.cli.run_commands.local_run import calibrate_here, conclude
     from agent.cli.run_commands.run_summary import show_summary
     from agent.cli.run_commands.simulated_calibration import calibrate_simulated
     from agent.settings.load import load_settings, naming, with_overrides
@@ -26,6 +27,7 @@ if will_run():
 @click.command("calibrate")
 @config_option
 @procedure_options
+@sequential_options
 @click.option("--simulated", is_flag=True, help="Calibrate a simulated machine, which is started for it, instead.")
 @click.option(
     "--scenario",
@@ -39,22 +41,26 @@ def calibrate_command(
     position_set: str | None,
     stations: list[int] | None,
     formulation: str | None,
+    sequential: bool,
+    target_vce_um: float | None,
+    slot_minutes: float | None,
     simulated: bool,
     scenario: Path | None,
     as_json: bool,
 ) -> None:
     """Measure, identify, write the table and verify it; restore the previous table if the check fails."""
+    end = SequentialOptions(sequential, target_vce_um, slot_minutes)
     settings = with_overrides(
         load_settings(config), position_set=position_set, stations=stations, formulation=formulation
     )
     if simulated:
         named = scenario or config.parent / SCENARIO_FILE
-        calibrate_simulated(settings, config, named, simulated_state(settings), as_json=as_json)
+        calibrate_simulated(settings, config, named, simulated_state(settings), end=end, as_json=as_json)
         return
     if scenario is not None:
         raise InputError("--scenario needs --simulated", hint="a real machine is not described by a scenario")
     with naming(config):
-        ended = run_here(calibration_here(), settings, config.resolve().parent)
+        ended = calibrate_here(settings, config.resolve().parent, end)
     if as_json:
         click.echo(json.dumps(ended.outcome.as_json(), allow_nan=False))
     else:

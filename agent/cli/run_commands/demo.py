@@ -11,6 +11,7 @@ import click
 
 from agent.cli.errors import reported
 from agent.cli.invocation import will_run
+from agent.cli.run_commands.sequential_options import SequentialOptions, sequential_options
 from agent.cli.run_commands.simulator_process import ANY_SOCKETCAND
 
 if will_run():
@@ -32,6 +33,7 @@ if will_run():
 @click.option("--scenario", type=click.Path(path_type=Path), help="Scenario to simulate instead of that of the case.")
 @click.option("--position-set", metavar="SET", help="S1, S2, S3, joined by +, or a position file.")
 @click.option("--formulation", type=click.Choice(["centres", "distances"]))
+@sequential_options
 @click.option(
     "--can",
     default=ANY_SOCKETCAND,
@@ -52,16 +54,28 @@ def demo_command(
     scenario: Path | None,
     position_set: str | None,
     formulation: str | None,
+    sequential: bool,
+    target_vce_um: float | None,
+    slot_minutes: float | None,
     can: str,
     modbus_rtu: str | None,
     out: Path,
     as_json: bool,
 ) -> None:
     """Start the simulated machine as a process, calibrate it over TCP and CAN, and compare with the truth."""
+    end = SequentialOptions(sequential, target_vce_um, slot_minutes)
     case = shipped_case(case_name)
     config = config or case.settings
     settings = with_overrides(load_settings(config), position_set=position_set, formulation=formulation)
     named = case.name if config == case.settings else None
     calibrate_simulated(
-        settings, config, scenario or case.scenario, out, case=named, can=can, modbus_rtu=modbus_rtu, as_json=as_json
+        settings,
+        config,
+        scenario or case.scenario,
+        out,
+        case=named,
+        can=can,
+        modbus_rtu=modbus_rtu,
+        end=end,
+        as_json=as_json,
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 
@@ -12,9 +13,12 @@ from rich.console import Console
 
 from agent.cli.errors import fail
 from agent.cli.run_commands.progress import watching
+from agent.cli.run_commands.sequential_options import SequentialOptions
 from agent.errors import GateRefused
 from agent.execution.supervisor import Supervisor
 from agent.planning.job import Job
+from agent.runs.consent import Consent
+from agent.runs.kinds.calibrate import FullCalibration
 from agent.runs.planned_run import Kind
 from agent.runs.requested_run import job_of, kind_of
 from agent.runs.run_context import RunHooks
@@ -40,6 +44,18 @@ def run_here(request: RunRequest, settings: Settings, base: Path, *, nights: flo
     """
     job = job_of(request, settings, base)
     return carry_out_here(job, kind_of(request, slot_minutes=request.slot_minutes, nights=nights), base)
+
+
+def calibrate_here(settings: Settings, base: Path, end: SequentialOptions) -> RunResult:
+    """Carry out a calibration in this process and with a progress bar on stderr, as `run_here`. `end` says whether its
+    positions are chosen one after the other, and when the measurement ends."""
+    kind = replace(
+        FullCalibration(consent=Consent.ASK),
+        sequential=end.sequential,
+        target_vce_um=end.target_vce_um,
+        slot_minutes=end.slot_minutes,
+    )
+    return carry_out_here(job_of(calibration_here(), settings, base), kind, base)
 
 
 def carry_out_here(job: Job, kind: Kind, base: Path) -> RunResult:

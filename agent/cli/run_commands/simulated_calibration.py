@@ -12,8 +12,9 @@ from typing import Any, Self
 import click
 
 from agent.cli.printing import columns_table, results_console
-from agent.cli.run_commands.local_run import calibration_here, conclude, run_here
+from agent.cli.run_commands.local_run import calibrate_here, conclude
 from agent.cli.run_commands.run_summary import show_summary
+from agent.cli.run_commands.sequential_options import ALL_POSITIONS, SequentialOptions
 from agent.cli.run_commands.simulator_process import ANY_SOCKETCAND, SimulatorProcess
 from agent.figures.heading import subject
 from agent.files import translated
@@ -95,13 +96,15 @@ def calibrate_simulated(
     case: str | None = None,
     can: str = ANY_SOCKETCAND,
     modbus_rtu: str | None = None,
+    end: SequentialOptions = ALL_POSITIONS,
     as_json: bool,
 ) -> None:
     """Start the machine of a scenario as a process of its own, calibrate it with `settings` over its links, and print
     the result and the truth.
 
     `config` is the file of the settings, `case` the name of the shipped case to which it belongs, and `out` the state
-    directory of the run. Raises SystemExit if the new table is not active at the end.
+    directory of the run. `end` says whether the positions are chosen one after the other. Raises SystemExit if the new
+    table is not active at the end.
     """
     demonstrated = Demonstrated.of(settings, case)
     bus = None if settings.stations.placed_by_hand else can
@@ -112,7 +115,7 @@ def calibrate_simulated(
         connected = connect(settings, simulator.ready, out, simulator.ask("status")["temperatures_c"])
         click.echo(f"{demonstrated.text}\n{_introduction(simulator.ready)}", err=True)
         with naming(config):
-            ended = run_here(calibration_here(), connected, config.resolve().parent)
+            ended = calibrate_here(connected, config.resolve().parent, end)
         truth = _truth_after(simulator, before, in_controller=not grbl)
     if as_json:
         click.echo(json.dumps({**vars(demonstrated), **_document(ended, truth)}, allow_nan=False))

@@ -9,9 +9,12 @@ from dataclasses import dataclass
 from agent.execution.steps import Point, RunPlan
 from agent.planning.job import Job
 from agent.planning.preflight import PreflightResult, never_interrupted, run_preflight
+from agent.planning.run_minutes import run_minutes
 from agent.results.predicted_accuracy import preflight_estimate
 from agent.runs.consent import Consent
 from agent.runs.kinds.calibration import CalibrationTask, calibration
+from agent.runs.kinds.sequential import SequentialEnd, SequentialTask, sequential_calibration
+from agent.runs.kinds.sequential_plan import plan_sequential
 from agent.runs.planned_run import PlannedRun, StartConditions, plan_run
 from agent.runs.reference_state import ReferenceState, full_calibration_need, reference_for
 
@@ -22,10 +25,17 @@ class FullCalibration:
 
     `nights` is the number of nights since the last accepted night; if it is None, the number is computed from the date.
     `consent` states whether a table may be written although the machine has changed.
+
+    If `sequential` is True, each position is chosen from what was measured before it, until the upper 95 % limit of the
+    predicted VCE is below `target_vce_um` or the slot of `slot_minutes` is over. If `target_vce_um` is None, the whole
+    slot is used; if `slot_minutes` is None, the slot is the machine time of the position set of the settings.
     """
 
     nights: float | None = None
     consent: Consent = Consent.ASK
+    sequential: bool = False
+    target_vce_um: float | None = None
+    slot_minutes: float | None = None
     name: str = "calibrate"
 
     def plan(self, job: Job, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
@@ -33,8 +43,22 @@ class FullCalibration:
         nights = nights_since(reference, self.nights, start.at)
         changed = full_calibration_need(job.settings.state_directory, start.run) is not None
         task = CalibrationTask(job, start.store, reference, nights, self.consent, changed)
+        if self.sequential:
+            return self._sequential(task, start, watch)
         planned = plan_run(job, self, start, lambda: calibration(task), watch)
         preflight_estimate(job, planned.preflight.measured)
+        return planned
+
+    def _sequential(self, task: CalibrationTask, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
+        job = task.job
+        slot = run_minutes(job, calibration_of).total if self.slot_minutes is None else self.slot_minutes
+        end = SequentialEnd(self.target_vce_um, slot, job.settings.nightly.reserve_minutes)
+
+        def planned_run(sequential: SequentialTask) -> PlannedRun:
+            return plan_run(sequential.job, self, start, lambda: sequential_calibration(sequential), watch)
+
+        planned = plan_sequential(task, end, planned_run)
+        preflight_estimate(planned.job, planned.preflight.measured)
         return planned
 
 

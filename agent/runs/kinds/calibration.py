@@ -97,7 +97,8 @@ def calibration(task: CalibrationTask) -> RunPlan:
     return (yield from calibrated(task, ready))
 
 
-def _nothing_more(_: Callable[[], Proof]) -> Plan[None]:
+def nothing_more(_: Callable[[], Proof]) -> Plan[None]:
+    """Return a plan without steps, to be carried out once the proof of a table is known."""
     yield from ()
 
 
@@ -109,7 +110,7 @@ def calibrated(
     task: CalibrationTask,
     ready: PreparedRun,
     standing_at: int | None = None,
-    after_proof: AfterProof = _nothing_more,
+    after_proof: AfterProof = nothing_more,
 ) -> RunPlan:
     """Return the plan that measures the position set, and writes and proves a table. `standing_at` is the station of
     the artefact, if it is not the one of the preparation."""
@@ -122,7 +123,7 @@ def calibrated(
             job.layout,
             ready.rules,
             job.repeat_rules,
-            lambda measured: _concluded(task, ready, measured, after_proof),
+            lambda measured: concluded(task, ready, measured, after_proof),
         )
     )
 
@@ -138,9 +139,11 @@ class _Weighed:
     way: str
 
 
-def _concluded(
+def concluded(
     task: CalibrationTask, ready: PreparedRun, measured: MeasuredPositions, after_proof: AfterProof
 ) -> RunPlan:
+    """Return the plan that follows the last measurement: the errors are estimated, and a table is written and proved,
+    or the active one is confirmed."""
     job = task.job
     yield from note_measured(MEASURED, measured)
     yield Enter("state/identifying", RunState.IDENTIFYING)
@@ -288,7 +291,7 @@ def written(
     ready: PreparedRun,
     estimation: EstimationResult,
     measured: MeasuredPositions,
-    after_proof: AfterProof = _nothing_more,
+    after_proof: AfterProof = nothing_more,
 ) -> RunPlan:
     """Stage and activate the table, and measure the held-out positions again.
 

@@ -8,6 +8,7 @@ from agent.execution.encoding import table_digest
 from agent.execution.steps import (
     ActivateBank,
     AwaitActive,
+    ComputeOnce,
     Decide,
     MoveTo,
     Plan,
@@ -28,7 +29,7 @@ from drivers.errors import CommandRejected, MotionFault
 from drivers.roles import Activation, MotionState
 from twin.units import S_PER_MIN
 
-WRITING = (ReadActiveBank, AwaitActive, ReadTable, StageTable, ActivateBank, Decide)
+WRITING = (ReadActiveBank, AwaitActive, ReadTable, StageTable, ActivateBank, Decide, ComputeOnce)
 """Types of steps that use only the compensation store or no device, so that the machine need not return for them."""
 
 

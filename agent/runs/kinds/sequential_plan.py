@@ -1,0 +1,78 @@
+"""Plan of a sequential calibration before it begins: the positions that its preflight walks, which must fit into the
+slot together with the checks of the probe, the held-out positions and the proof."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+from agent.errors import PlanRefused
+from agent.planning.cycle_time import walk_plan
+from agent.planning.design.sequential_candidates import MIN_POSITIONS, SequentialCandidates, standing_in
+from agent.planning.job import Job
+from agent.planning.preflight import Standing
+from agent.runs.kinds.calibration import CalibrationTask
+from agent.runs.kinds.sequential import SequentialEnd, SequentialTask, with_positions
+from agent.runs.planned_run import PlannedRun
+from twin.units import S_PER_MIN
+
+
+def plan_sequential(
+    calibration: CalibrationTask, end: SequentialEnd, planned_run: Callable[[SequentialTask], PlannedRun]
+) -> PlannedRun:
+    """Return the run, planned by `planned_run` with a preflight, whose positions fit into the slot of `end`.
+
+    Raises PlanRefused if the slot is too short for the smallest number of positions, or if the artefact is placed by
+    hand.
+    """
+    job = calibration.job
+    if job.rules.placement is not None:
+        raise PlanRefused(
+            "a sequential calibration needs a mount: an artefact that is placed by hand is placed in listed positions",
+            hint="calibrate without --sequential",
+        )
+    candidates = SequentialCandidates(job)
+    checks, standing = _checks(job)
+    room = end.left(checks)
+    positions = candidates.planned(room, standing)
+    found: PlannedRun | None = None
+    # The minutes of the choice are estimates, those of the preflight are not: their difference is used up, or saved.
+    while len(positions) >= MIN_POSITIONS:
+        own = replace(calibration, job=with_positions(job, positions))
+        planned = planned_run(SequentialTask(own, candidates, end, positions))
+        left = end.left(planned.preflight.machine_minutes)
+        if left < 0.0 and found is None:
+            positions = positions[:-1]
+            continue
+        if left < 0.0:
+            break
+        found, room = planned, room + left
+        longer = candidates.planned(room, standing)
+        if len(longer) <= len(positions):
+            break
+        positions = longer
+    if found is not None:
+        return found
+    raise PlanRefused(
+        f"the slot of {end.slot_minutes:g} min is too short: {MIN_POSITIONS} positions, the held-out positions and the "
+        f"proof take about {_shortest_minutes(candidates, checks, standing) + end.reserve:.0f} min",
+        hint="give a longer slot, or hold out fewer positions (`verification.positions`, `verification.stations`)",
+    )
+
+
+def _checks(job: Job) -> tuple[float, Standing | None]:
+    """Return the machine minutes of the checks of the probe, and the place of the artefact after them; None if it is
+    not known."""
+    prepared, steps = walk_plan(job, job.preparation_plan())
+    standing = None if prepared.datum is None else standing_in(prepared.datum.position)
+    return sum(timed.seconds for timed in steps) / S_PER_MIN, standing
+
+
+def _shortest_minutes(candidates: SequentialCandidates, checks: float, standing: Standing | None) -> float:
+    """Return the machine minutes of a run that measures the smallest number of positions."""
+    minutes = checks
+    for position in candidates.planned(math.inf, standing)[:MIN_POSITIONS]:
+        minutes += float(candidates.seconds(standing)[candidates.positions.index(position)]) / S_PER_MIN
+        standing = standing_in(position)
+    return minutes + (0.0 if standing is None else candidates.tail_minutes(standing.station))
