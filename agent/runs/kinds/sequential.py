@@ -30,10 +30,11 @@ from agent.planning.design.sequential_candidates import (
 from agent.planning.job import Job
 from agent.planning.measuring_order import AT_REST_DEG
 from agent.planning.preflight import NOTHING_MEASURED, Standing, run_preflight
+from agent.probing.measured_balls import Correction, observations_of
 from agent.probing.repeated_positions import join_measured, repeat_if_changed
 from agent.probing.run_plan import MeasuredPositions, MeasuringOrder, measure_positions, position_key
 from agent.results.estimation import EstimationResult, estimate_from_balls
-from agent.results.observations import Correction, balls_for_estimate, observations_of
+from agent.results.observations import balls_for_estimate
 from agent.runs.kinds.calibration import CalibrationTask, concluded, nothing_more
 from agent.runs.kinds.run_parts import PreparedRun, found_compensation, prepared_run
 from agent.thermal.machine_drift import is_drifting
