@@ -153,6 +153,11 @@ class Owner:
 
     # ------------------------------------------------------------------ for the service itself
 
+    @property
+    def busy(self) -> bool:
+        """True from the request for a run until its end."""
+        return self._running is not None
+
     def reload(self, settings: Settings) -> None:
         """Use `settings` for the next runs.
 
