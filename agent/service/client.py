@@ -117,7 +117,7 @@ def _connect(settings: Settings) -> httpx.Client:
         raise NoService(
             "no service runs for this machine", hint=_START_IT, file=str(settings.state_directory)
         ) from None
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError, RecursionError) as error:
         raise NoService(
             f"the address file of the service cannot be read: {error}",
             file=str(settings.state_directory / ADDRESS_FILE),

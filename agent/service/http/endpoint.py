@@ -92,12 +92,14 @@ class HttpEndpoint(HttpServer):
         super().__init__(settings)
         self._directory = directory
         self._make_app = make_app
+        self._remove_address: Callable[[], None] | None = None
 
     def start(self, control: Control) -> None:
         """Bind the socket and start the server. Raise ConfigurationError if the address cannot be bound."""
         self.serve(self._make_app(control))
-        address_file.write_address(self._directory, self.url)
+        self._remove_address = address_file.write_address(self._directory, self.url)
 
     def stop(self) -> None:
-        address_file.remove_address(self._directory)
+        if self._remove_address is not None:
+            self._remove_address()
         self.shut_down()
