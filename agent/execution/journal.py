@@ -59,7 +59,7 @@ class Journal:
 
     def start_run(self, run_id: str, kind: str, settings: Mapping[str, Any], software: str, clock: Clock) -> RunJournal:
         """Create a run in the state IDLE and return an object that writes its records. Raises Busy if there is already
-        a run `run_id`.
+        a run `run_id`, and JournalFailed if the run cannot be written.
         """
         try:
             cursor = self._connection.execute(
@@ -68,6 +68,8 @@ class Journal:
             )
         except sqlite3.IntegrityError as error:
             raise Busy(f"run {run_id} exists already", file=str(self.path)) from error
+        except sqlite3.Error as error:
+            raise self._not_written(error) from error
         assert cursor.lastrowid is not None  # noqa: S101  an INSERT has one
         return RunJournal(self._connection, cursor.lastrowid, run_id, clock)
 
@@ -85,13 +87,19 @@ class Journal:
         """Set the state of every unfinished run with a number below `before_run` to FAULTED, and add `reason` to its
         stored reason.
 
-        Such a run can no longer be resumed.
+        Such a run can no longer be resumed. Raises JournalFailed if this cannot be written.
         """
-        self._connection.execute(
-            "UPDATE runs SET state = ?, reason = coalesce(reason || '; ', '') || ?, ended = ? "
-            "WHERE ended IS NULL AND run < ?",
-            (RunState.FAULTED.value, reason, utc_timestamp(), before_run),
-        )
+        try:
+            self._connection.execute(
+                "UPDATE runs SET state = ?, reason = coalesce(reason || '; ', '') || ?, ended = ? "
+                "WHERE ended IS NULL AND run < ?",
+                (RunState.FAULTED.value, reason, utc_timestamp(), before_run),
+            )
+        except sqlite3.Error as error:
+            raise self._not_written(error) from error
+
+    def _not_written(self, error: sqlite3.Error) -> JournalFailed:
+        return JournalFailed(f"the journal cannot be written: {error}", hint=_DISK_HINT, file=str(self.path))
 
     def acknowledge(self, run_id: str) -> None:
         """Record durably that a person has acknowledged the end of the run `run_id`.
