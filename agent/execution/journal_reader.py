@@ -39,6 +39,10 @@ Row = TypeVar("Row")
 ANY_RUN = 2**62
 """Greater than the number of any run."""
 
+WORKING_STEPS = frozenset({"TouchTowards", "StageTable", "ActivateBank"})
+"""Types of the steps that measure or that change the compensation. A run without such a step leaves everything as an
+earlier run has left it."""
+
 _TIMEOUT_S = 2.0
 
 
@@ -102,9 +106,14 @@ class JournalReader:
     def last_run(self) -> RunRow | None:
         return self._first(RunRow, queries.RUN + "ORDER BY run DESC LIMIT 1")
 
-    def last_working_run(self) -> RunRow | None:
-        """Return the row of the last run that recorded a step or passed its preflight; None if there is none."""
-        return self._first(RunRow, queries.LAST_WORKING_RUN)
+    def latest_begun_runs(self) -> Iterator[RunRow]:
+        """Yield the rows of all runs that recorded a step or passed their preflight, the latest first."""
+        for row in self._connection.execute(queries.BEGUN_RUNS):
+            yield RunRow(*row)
+
+    def has_worked(self, run: int) -> bool:
+        """Return True if the run has begun to measure or to write tables."""
+        return self._one(queries.HAS_STEP, run=run, kinds=_listed(WORKING_STEPS)) is not None
 
     def run_counts(self, limit: int, before_run: int = ANY_RUN) -> tuple[RunCounts, ...]:
         """Return the rows of at most `limit` runs, the latest first, each with the number of its measured balls and the

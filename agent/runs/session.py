@@ -93,7 +93,6 @@ def carry_out(
                 journal.origin(origin_record(settings, kind, base, start))
                 planned = session.plan(start)
                 journal.begun()
-                resources.journal.close_unresumable(journal.run, f"interrupted, followed by run {run_id}")
                 session.carry_out(planned)
         return session.result()
 

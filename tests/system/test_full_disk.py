@@ -1,4 +1,4 @@
-"""`volcal calibrate` on a disk that becomes full: the first cause is told, and the exit code is that of a faulted run."""
+"""`volcal calibrate` on a disk that becomes full: the first cause is told, with the exit code of a faulted run."""
 
 from __future__ import annotations
 
