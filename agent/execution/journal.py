@@ -20,7 +20,7 @@ from typing import Any, Self
 
 from agent.errors import Busy, JournalFailed
 from agent.execution.encoding import encode_result, encode_step, table_digest, to_json
-from agent.execution.journal_reader import WORKING_STEPS, JournalReader
+from agent.execution.journal_reader import WORKING_STEPS, JournalReader, require_same_version
 from agent.execution.journal_schema import FILE_NAME, prepare
 from agent.execution.replay_log import ReplayLog, comparable_estimate, read_replay_log
 from agent.execution.states import RunState
@@ -45,6 +45,7 @@ class Journal:
         self.path = directory / FILE_NAME
         try:
             directory.mkdir(parents=True, exist_ok=True)
+            require_same_version(directory)
             self._connection = sqlite3.connect(self.path, isolation_level=None, timeout=2.0)
             prepare(self._connection, self.path)
         except (OSError, sqlite3.Error) as error:

@@ -28,8 +28,8 @@ from agent.execution.journal_rows import (
     TemperatureRow,
     TouchRow,
 )
-from agent.execution.journal_schema import FILE_NAME, require_version
-from drivers.errors import InputError, VolcalError
+from agent.execution.journal_schema import FILE_NAME, is_empty, require_version
+from drivers.errors import ConfigurationError, InputError, VolcalError
 
 if TYPE_CHECKING:
     from drivers.roles import TableImage
@@ -47,8 +47,35 @@ _TIMEOUT_S = 2.0
 
 
 def has_journal(directory: Path) -> bool:
-    """Return True if the state directory `directory` contains a journal; there is none before the first run."""
-    return (directory / FILE_NAME).is_file()
+    """Return True if the state directory `directory` contains a journal; there is none before the first run.
+
+    A file without tables, which a full disk or a power cut can leave, is no journal yet: the next run creates its
+    tables. A file that cannot be read is one, and the functions that read it say what is wrong.
+    """
+    path = directory / FILE_NAME
+    if not path.is_file():
+        return False
+    try:
+        with _connection(path) as connection:
+            return not is_empty(connection)
+    except sqlite3.Error:
+        return True
+
+
+@contextmanager
+def _connection(path: Path) -> Iterator[sqlite3.Connection]:
+    uri = f"{path.resolve().as_uri()}?mode=ro"
+    with closing(sqlite3.connect(uri, uri=True, timeout=_TIMEOUT_S)) as connection:
+        yield connection
+
+
+def require_same_version(directory: Path) -> None:
+    """Raise ConfigurationError if the state directory contains a journal of a different version of volcal. The file is
+    not changed, not even as SQLite changes a file that is opened for writing."""
+    path = directory / FILE_NAME
+    if path.is_file():
+        with _connection(path) as connection:
+            require_version(connection, path, ConfigurationError)
 
 
 @contextmanager
@@ -61,9 +88,10 @@ def open_journal(directory: Path, failure: type[VolcalError] = InputError) -> It
     """
     path = directory / FILE_NAME
     try:
-        uri = f"{path.resolve().as_uri()}?mode=ro"
-        with closing(sqlite3.connect(uri, uri=True, timeout=_TIMEOUT_S)) as connection:
+        with _connection(path) as connection:
             require_version(connection, path, failure)
+            if is_empty(connection):
+                raise failure("the journal has no run yet", hint="the first run fills it", file=str(path))
             yield JournalReader(connection, path)
     except sqlite3.Error as error:
         raise failure(f"the journal cannot be read: {error}", file=str(path)) from error

@@ -87,7 +87,7 @@ def _last(reader: JournalReader) -> UnfinishedRun | None:
             later = later or _unfinished(reader, row)
             continue
         found = _unfinished(reader, row)
-        if found is None and later is not None and (row.ended or "") > later.started:
+        if found is None and later is not None and (row.ended or "") >= later.started:
             return None  # this run was resumed after the later one had ended
         return found or later
     return later
