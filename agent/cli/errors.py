@@ -26,6 +26,7 @@ import click
 
 from agent.cli.invocation import program_arguments
 from agent.errors import Aborted
+from agent.printable import printable
 from drivers.errors import ConfigurationError, VolcalError
 
 P = ParamSpec("P")
@@ -38,7 +39,7 @@ def fail(error: VolcalError) -> SystemExit:
 
     The caller raises the returned exception, which ends the program.
     """
-    click.echo(f"error: {error}", err=True)
+    click.echo(f"error: {printable(str(error))}", err=True)
     return SystemExit(error.exit_code)
 
 

@@ -68,7 +68,7 @@ def test_a_short_answer_is_an_error_of_the_protocol(answer: bytes, length: int) 
             assert node.read(STATUSWORD) == 0x0637
             assert length >= 6
         except ProtocolError as error:
-            assert error.where["node"] == "5"  # noqa: PT017  six bytes hold the whole value
+            assert error.where["node"] == "5"
             assert length < 8
         peer.answers = [STATUS_ANSWER]
         assert node.read(STATUSWORD) == 0x0637
@@ -83,4 +83,4 @@ def test_no_answer_raises_anything_but_our_errors(answers: Sequence[bytes]) -> N
             try:
                 ask()
             except VolcalError as error:
-                assert isinstance(error, LinkError) or error.where  # noqa: PT017
+                assert isinstance(error, LinkError) or error.where

@@ -15,6 +15,7 @@ from agent.execution.states import RunState
 from agent.model_files import load_machine
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
+from agent.printable import one_line
 from agent.runs.kinds.restoration import TABLE_ROLES, Restoration, stored_table
 from agent.runs.planned_run import Kind
 from agent.runs.reconcile_result import Reconciliation
@@ -37,6 +38,9 @@ from agent.settings.schema import Settings
 from drivers.errors import PermissionMissing, StoreError, UserError, VolcalError
 
 log = structlog.get_logger()
+
+MAX_REASON = 200
+"""Longest reason of an abort in characters. Anybody may abort, so the reason may be any text."""
 
 
 class Owner:
@@ -137,7 +141,8 @@ class Owner:
         self._on_running(RunMailbox.resume, "resume requested")
 
     def abort(self, reason: str) -> None:
-        self._on_running(lambda running: running.abort(reason), f"abort requested: {reason}")
+        said = one_line(reason, MAX_REASON)
+        self._on_running(lambda running: running.abort(said), f"abort requested: {said}")
 
     def reset(self) -> None:
         with self._changed:
