@@ -9,7 +9,6 @@ import ipaddress
 import os
 from collections.abc import Mapping
 
-
 FILTER_SETTING = "IPAddressAllow"
 
 

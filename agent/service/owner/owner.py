@@ -59,7 +59,15 @@ class Owner:
         self._board.show_idle(self._idle_status())
         left = parts.journal_state.unacknowledged_end()
         if left is not None:
-            self._board.show_unacknowledged_end(left.state, left.run_id, left.kind, left.alarm)
+            self._board.show_unacknowledged_end(
+                left.state,
+                left.run_id,
+                left.kind,
+                left.alarm,
+                started=left.started,
+                balls=left.balls,
+                touches=left.touches,
+            )
 
     # ------------------------------------------------------------------ Control
 
@@ -247,9 +255,12 @@ class Owner:
         if status.state not in allowed_requests.STICKY:
             return
         cause = status.alarms[0].text if status.alarms else status.doing
+        further = "start again"
+        if status.unfinished is not None:
+            further = f"resume run {status.unfinished} (`volcal resume`), or start a new one"
         raise PermissionMissing(
             f"run {status.run_id} ended {status.state.value} ({cause})",
-            hint="remove the cause, reset (`volcal reset`), then start again",
+            hint=f"remove the cause, reset (`volcal reset`), then {further}",
         )
 
     def _not_started(self, request: RunRequest, error: BaseException) -> None:

@@ -20,8 +20,10 @@ from hypothesis import strategies as st
 from service_house import PATIENCE_S, READY_MACHINE, house, settings_document
 
 from agent.errors import Aborted, Busy, GateRefused
+from agent.execution.journal import Journal
 from agent.execution.run_state import Announcement
 from agent.execution.states import RunState
+from agent.execution.steps import Record, TouchTowards
 from agent.execution.supervisor import Supervisor
 from agent.runs.kinds.nightly import Night
 from agent.runs.requested_run import job_of, kind_of
@@ -44,7 +46,7 @@ from agent.settings.schema import Settings
 from agent.settings.service import ServiceSettings
 from drivers.clock import VirtualClock
 from drivers.errors import ConfigurationError, LinkLost, PermissionMissing, UserError, VolcalError
-from drivers.roles import MachineStatus, MotionState, OperatorRequest, OperatorTask, Permission
+from drivers.roles import MachineStatus, MotionState, OperatorRequest, OperatorTask, Permission, Touch
 
 NIGHTLY = RunRequest(kind="calibrate", source="timer")
 
@@ -286,6 +288,30 @@ def test_a_service_whose_engine_hangs_is_no_longer_fed(
     assert any("reloaded after the run" in str(message.get("STATUS")) for message in told.messages)
     assert any(str(message.get("STATUS")).startswith("the engine hangs") for message in told.messages) is not bool(fed)
     assert told.messages[-1]["STOPPING"] == 1
+
+
+def test_after_a_power_cut_the_status_has_what_the_journal_holds_and_names_the_way_on(tmp_path: Path) -> None:
+    journal = Journal(tmp_path)
+    run = journal.start_run("run-1", "calibrate", {}, "0", VirtualClock())
+    run.origin({})
+    run.begun()
+    touch = TouchTowards("touch", (1.0, 0.0, 0.0), 5.0)
+    run.begin(touch)
+    run.finish(touch, Touch((1.0, 0.0, 0.0)), begun=True)
+    for ball in range(27):
+        run.finish(Record(f"ball-{ball}", "ball", {"centre_mm": [0.0, 0.0, 0.0]}), None, begun=False)
+    run.state(RunState.MEASURING)
+    journal.close()
+    with house(tmp_path) as built:
+        left = built.owner.status()
+        assert (left.state, left.run_id, left.balls, left.touches) == (RunState.FAULTED, "run-1", 27, 1)
+        assert left.started is not None
+        assert "`volcal resume` then resumes run run-1" in left.alarms[0].hint
+        with pytest.raises(PermissionMissing) as refused:
+            built.owner.start(NIGHTLY)
+        assert "reset (`volcal reset`), then resume run run-1 (`volcal resume`)" in refused.value.hint
+        built.owner.reset()
+        assert (built.owner.status().balls, built.owner.status().started) == (0, None)
 
 
 class EndingEndpoint:
