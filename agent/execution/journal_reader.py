@@ -29,6 +29,7 @@ from agent.execution.journal_rows import (
     TouchRow,
 )
 from agent.execution.journal_schema import FILE_NAME, is_empty, require_version
+from agent.execution.stored_json import damage_reported
 from drivers.errors import ConfigurationError, InputError, VolcalError
 
 if TYPE_CHECKING:
@@ -92,7 +93,8 @@ def open_journal(directory: Path, failure: type[VolcalError] = InputError) -> It
             require_version(connection, path, failure)
             if is_empty(connection):
                 raise failure("the journal has no run yet", hint="the first run fills it", file=str(path))
-            yield JournalReader(connection, path)
+            with damage_reported(failure, path):
+                yield JournalReader(connection, path)
     except sqlite3.Error as error:
         raise failure(f"the journal cannot be read: {error}", file=str(path)) from error
 

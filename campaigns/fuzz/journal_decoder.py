@@ -14,9 +14,9 @@ from agent.execution.journal_schema import FILE_NAME
 from agent.execution.replay_log import read_replay_log
 from agent.execution.run_record import read_record, read_steps, run_heads, run_ids
 from agent.history.run_row import run_rows
+from agent.runs.origin import read_origin
 from agent.runs.reconcile import has_compensation_record, unproved_table
 from agent.runs.reference_state import full_calibration_need, read_reference
-from agent.runs.origin import read_origin
 from agent.runs.unfinished_run import unfinished_run
 from agent.service.state.archive import Archive
 from agent.service.state.journal_state import JournalState
@@ -71,11 +71,16 @@ def _ways(state: Path) -> list[Callable[[], object]]:
         service.unacknowledged_end,
         lambda: archive.runs(50),
         lambda: archive.tables(50),
-        lambda: [_read_run(archive, state, run_id) for run_id in run_ids(state)],
+        lambda: _read_runs(archive, state),
         lambda: [head.settings for head in run_heads(state)],
         lambda: _replay(state),
         lambda: copy_journal(state, _made(state / "copy"), lambda settings: settings),
     ]
+
+
+def _read_runs(archive: Archive, state: Path) -> None:
+    for run_id in run_ids(state):
+        _read_run(archive, state, run_id)
 
 
 def _read_run(archive: Archive, state: Path, run_id: str) -> None:

@@ -16,7 +16,6 @@ from twin.errors import TwinError
 
 BOUND_S = 60.0
 """Longest time for one input. It is far above the usual one, so that a busy computer is not blamed on a decoder."""
-KEPT_FAILURES = 5
 
 
 @dataclass(frozen=True)
@@ -47,6 +46,7 @@ class Hang(BaseException):
 def tried(decoder: Decoder, count: int, seed: int) -> TrialResult:
     """Give `count` mutated inputs to the decoder, after its seeds, which it must read."""
     result, random = TrialResult(decoder.name), Random(f"{decoder.name} {seed}")  # noqa: S311  no secret
+    allowed: tuple[type[Exception], ...] = (VolcalError, TwinError, *decoder.refusals)
     for good in decoder.seeds:
         decoder.decode(good)
     for number in range(count):
@@ -54,7 +54,7 @@ def tried(decoder: Decoder, count: int, seed: int) -> TrialResult:
         try:
             with time_limit(BOUND_S):
                 decoder.decode(data)
-        except (VolcalError, TwinError, *decoder.refusals):
+        except allowed:
             result.refused += 1
         except (Exception, Hang) as error:  # noqa: BLE001  whatever it is, it is the finding
             place = traceback.extract_tb(error.__traceback__)[-1]

@@ -159,7 +159,7 @@ def _controller_answer(data: bytes) -> object:
     return link.read(1000, 2)
 
 
-class _AnsweringNetwork(canopen.Network):  # type: ignore[misc]
+class _AnsweringNetwork(canopen.Network):
     """CAN network whose node answers every SDO request with the same bytes."""
 
     def __init__(self, answer: bytes) -> None:
@@ -194,7 +194,8 @@ class _NetworkLink:
 
 def _drive_answer(data: bytes) -> object:
     link: Any = _NetworkLink(data)
-    return DriveNode(link, NODE, "azimuth", canopen.ObjectDictionary(), sdo_timeout_s=0.01).read(STATUSWORD)
+    dictionary = canopen.ObjectDictionary()  # type: ignore[no-untyped-call]
+    return DriveNode(link, NODE, "azimuth", dictionary, sdo_timeout_s=0.01).read(STATUSWORD)
 
 
 def _drive_request(data: bytes) -> object:
