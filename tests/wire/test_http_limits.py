@@ -21,6 +21,7 @@ from agent.service.http.app import create_app
 from agent.service.http.app_state import AppState
 from agent.service.http.endpoint import HttpServer
 from agent.service.http.guard import MAX_REQUESTS
+from agent.service.page.static_files import mount_page
 from agent.service.state.event_log import EventLog
 from agent.settings.service import ServiceSettings
 
@@ -48,7 +49,7 @@ class Served:
         unused: Any = None
         state = AppState(self.control, self.event_log, unused, unused, unused, Path("volcal.toml"), "secret")
         self._server = HttpServer(ServiceSettings(port=0))
-        self._server.serve(create_app(state))
+        self._server.serve(create_app(state, extensions=[mount_page]))
         self.url = self._server.url
 
     def close(self) -> None:
@@ -156,3 +157,14 @@ def test_an_event_number_that_is_none_is_ignored(served: Served, number: str) ->
     request = f"GET /api/events HTTP/1.1\r\nHost: 127.0.0.1\r\nLast-Event-ID: {number}\r\n\r\n"
     with served.connected(request.encode("latin-1")) as connection:
         assert connection.recv(4096).startswith(b"HTTP/1.1 200")
+
+
+def test_the_page_runs_no_script_but_its_own(served: Served) -> None:
+    with served.client() as client:
+        page = client.get("/")
+    assert page.status_code == 200
+    policy = dict(part.strip().split(" ", 1) for part in page.headers["content-security-policy"].split(";"))
+    assert policy["default-src"] == "'none'"
+    assert policy["script-src"] == "'self'"
+    assert policy["frame-ancestors"] == "'none'"
+    assert "<script>" not in page.text
