@@ -8,6 +8,7 @@ import pytest
 from rich.console import Console
 from service_house import house
 from test_service import NIGHTLY
+from volcal_command import volcal
 
 from agent.cli.errors import fail
 from agent.cli.printing import facts_table, results_console
@@ -66,3 +67,11 @@ def test_the_progress_of_a_run_is_never_read_as_markup(capsys: pytest.CaptureFix
 def test_errors_are_printed_without_obeying_them(capsys: pytest.CaptureFixture[str]) -> None:
     fail(InputError(f"'{EVIL}' is not a number"))
     assert "\x1b" not in capsys.readouterr().err
+
+
+def test_an_abort_that_could_not_be_sent_says_so(tmp_path: Path) -> None:
+    """The settings name the state directory, in which the address of the service is."""
+    (tmp_path / "volcal.toml").write_text("state_directory = [")
+    refused = volcal("abort", "--config", tmp_path / "volcal.toml", exit_code=2).stderr
+    assert "the abort was NOT sent" in refused
+    assert "emergency stop" in refused
