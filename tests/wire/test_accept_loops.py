@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
-import os
 import resource
 import socket
 import threading
@@ -13,6 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 from fake_control import FakeControl
 from fastapi import FastAPI
@@ -54,6 +54,7 @@ def http(_: Path) -> Iterator[Address]:
     server.serve(FastAPI())
     host, port = server.url.removeprefix("http://").split(":")
     try:
+        httpx.get(server.url, timeout=PATIENCE_S, trust_env=False)  # its thread has imported what it needs
         yield host, int(port)
         assert server.alive
     finally:
@@ -118,9 +119,8 @@ SERVERS: list[tuple[Callable[[Path], Opened], bytes]] = [
 def no_file_handles() -> Iterator[None]:
     """Let this process open no further file."""
     limits = resource.getrlimit(resource.RLIMIT_NOFILE)
-    lowest = os.dup(0)
-    os.close(lowest)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (lowest, limits[1]))
+    # Handles below 3 are always in use, unlike higher ones, which the garbage collector may close at any time.
+    resource.setrlimit(resource.RLIMIT_NOFILE, (3, limits[1]))
     try:
         yield
     finally:
