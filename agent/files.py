@@ -19,14 +19,22 @@ from drivers.errors import InputError, UserError, VolcalError
 from drivers.tables.files import sync_directory
 from twin.errors import TwinError
 
+MAX_TEXT_BYTES = 64_000_000
+"""Largest file that is read as text, which takes some seconds. Files of measurements and estimates are smaller."""
 FILE_MODE = 0o644
 """Mode of result files: readable by other users and programs, unlike the files that `mkstemp` creates."""
 
 
 def read_text(path: Path, *, error: type[UserError] = InputError) -> str:
-    """Return the text of a file. Raises an error of class `error` if the file cannot be read or is not UTF-8 text."""
+    """Return the text of a file. Raises an error of class `error` if the file cannot be read, is longer than
+    MAX_TEXT_BYTES, or is not UTF-8 text."""
     try:
-        return path.read_bytes().decode("utf-8-sig")
+        with path.open("rb") as file:
+            content = file.read(MAX_TEXT_BYTES + 1)
+        if len(content) > MAX_TEXT_BYTES:
+            message = f"the file is larger than {MAX_TEXT_BYTES // 1_000_000} MB"
+            raise error(message, hint="check that this is the right file", file=str(path))
+        return content.decode("utf-8-sig")
     except FileNotFoundError:
         raise error("there is no such file", hint="check the path", file=str(path)) from None
     except IsADirectoryError:

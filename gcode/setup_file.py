@@ -14,6 +14,7 @@ from gcode.setup import NO_OFFSET, PartSetup, Triple
 from twin.errors import FormatError
 from twin.formats.toml_reading import StrictModel, read_toml
 
+LONGEST_TOOL_NUMBER = 9
 System = Literal["G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3"]
 
 
@@ -63,6 +64,6 @@ def parse_part_setup(text: str, source: str) -> PartSetup:
 
 
 def _tool_number(name: str, source: str) -> int:
-    if not name.isdecimal():
+    if not name.isdecimal() or len(name) > LONGEST_TOOL_NUMBER:
         raise FormatError(f"'{name}' is not a tool number", hint="Write 1 = [0, 0, 120.5]", file=source, key="tools_mm")
     return int(name)

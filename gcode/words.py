@@ -19,7 +19,9 @@ from typing import NoReturn
 from gcode.source import SourceLine
 
 _WORD = re.compile(r"([A-Z@^]|(?<=.)\$)[ \t]*([-+]?(?:\d+\.?\d*|\.\d+)|(?<=[FS])#<_HAL\[[^\[\]<>]*\]>)|([^ \t])")
-_NUMBER = r"([-+]?(?:\d+\.?\d*|\.\d+))"
+LARGEST_NUMBER = 1e9
+"""Larger numbers are refused: no word of a controller has so many digits."""
+_NUMBER = r"([-+]?(?:\d{1,9}\.?\d*|\.\d+))"
 # The words in the order in which post-processors write them, each at most once and with at most one space behind.
 _PLAIN = re.compile(
     r"(?:N(\d+) ?)?(?:G0?([01]) ?)?" + "".join(f"(?:{letter}{_NUMBER} ?)?" for letter in "XYZ") + f"(?:F{_NUMBER})?$"
@@ -80,7 +82,10 @@ def read_block(text: str, source: SourceLine) -> Block:
         elif other:
             _refuse_sign(block, code, other)
         else:
-            values[letter] = math.nan if number.startswith("#") else float(number)
+            value = math.nan if number.startswith("#") else float(number)
+            if abs(value) > LARGEST_NUMBER:
+                block.refuse(f"the number after {letter} has too many digits")
+            values[letter] = value
     return block
 
 
@@ -101,7 +106,7 @@ def code_number(number: str) -> int:
     """
     # Codes have at most one decimal. 1e-6 covers numbers such as 91.1, whose tenfold is not exact in binary.
     tenfold = float(number) * 10.0
-    return round(tenfold) if tenfold >= 0.0 and abs(tenfold - round(tenfold)) < 1e-6 else -1
+    return round(tenfold) if 0.0 <= tenfold < LARGEST_NUMBER and abs(tenfold - round(tenfold)) < 1e-6 else -1
 
 
 def is_program_number(block: Block) -> bool:

@@ -26,6 +26,8 @@ import click
 
 from agent.cli.invocation import program_arguments
 from agent.errors import Aborted
+from agent.printable import printable
+from drivers.address_filter import FILTER_SETTING
 from drivers.errors import ConfigurationError, VolcalError
 
 P = ParamSpec("P")
@@ -38,7 +40,7 @@ def fail(error: VolcalError) -> SystemExit:
 
     The caller raises the returned exception, which ends the program.
     """
-    click.echo(f"error: {error}", err=True)
+    click.echo(f"error: {printable(str(error))}", err=True)
     return SystemExit(error.exit_code)
 
 
@@ -64,6 +66,8 @@ def _naming_simulator(error: VolcalError) -> VolcalError:
     says how to start the simulated machine. The settings are those of the option `--config` of the command."""
     config: Path | None = click.get_current_context().params.get("config")
     if config is None or error.where.get("key") != "clock" or not isinstance(error.__cause__, OSError):
+        return error
+    if FILTER_SETTING in error.hint:
         return error
     from agent.settings.load import read_settings  # noqa: PLC0415  the help text needs neither
     from agent.settings.simulator_command import command_of_settings  # noqa: PLC0415

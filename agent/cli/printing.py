@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console, Group
 from rich.constrain import Constrain
 from rich.table import Table
+from rich.text import Text
 
 from agent.figures.heading import subject
 from agent.results.travel_parts import TravelParts
@@ -58,7 +59,7 @@ def facts_table(rows: Iterable[tuple[str, str]], *, title: str | None = None) ->
     table.add_column(overflow="fold")
     table.add_column(overflow="fold")
     for name, value in rows:
-        table.add_row(name, value)
+        table.add_row(Text(name), Text(value))  # never read as markup: values may come from other programs
     return table
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from agent.execution.rig import Rig, in_role
 from agent.settings.schema import ClockSettings, Settings, StationSettings
+from drivers.address_filter import filter_hint
 from drivers.clock import INTERRUPT_SLICE_S, Clock, LockstepClock, RealClock, ScaledClock
 from drivers.errors import ConfigurationError
 from drivers.registry import DeviceContext, create_device
@@ -47,7 +48,9 @@ def make_clock(settings: ClockSettings) -> Clock:
                 raise ConfigurationError(
                     f"no simulator serves time at {settings.host}:{settings.port}: {error.strerror or error}",
                     key="clock",
-                    hint="start `volcal simulate --clock lockstep` first, or use kind = 'real'",
+                    hint=filter_hint(
+                        "start `volcal simulate --clock lockstep` first, or use kind = 'real'", settings.host
+                    ),
                 ) from error
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from agent.execution.steps import OrientTo, ReadPosition, Step, TouchTowards
+from agent.execution.stored_json import stored_json
 from drivers.roles import Miss, Orientation, TableImage, Touch
 
 
@@ -41,7 +42,7 @@ def decode_result(kind: str, text: str | None) -> Any:
     `kind` is the name of the step's class. If the result was a compensation table, only its shape and its CRC-32
     checksum were written, and the mapping ``{"shape": …, "crc32": …}`` is returned.
     """
-    value: Any = None if text is None else json.loads(text)
+    value: Any = None if text is None else stored_json(text)
     if isinstance(value, dict) and value.keys() == {"placement_lost"}:
         return LostPlacement(value["placement_lost"])
     if kind == TouchTowards.__name__:
@@ -69,8 +70,8 @@ def decode_table(origin_mm: str, step_mm: str, resolution_mm: float, shape: str,
     """Return the compensation table that is stored in one row of the journal's database table `tables`. The arguments
     are columns of this row.
     """
-    values = np.frombuffer(counts, ">i4").astype(np.int32).reshape(*json.loads(shape), 3)
-    return TableImage(_triple(json.loads(origin_mm)), _triple(json.loads(step_mm)), resolution_mm, values)
+    values = np.frombuffer(counts, ">i4").astype(np.int32).reshape(*stored_json(shape), 3)
+    return TableImage(_triple(stored_json(origin_mm)), _triple(stored_json(step_mm)), resolution_mm, values)
 
 
 def _triple(values: list[float]) -> tuple[float, float, float]:

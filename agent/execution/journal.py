@@ -20,7 +20,7 @@ from typing import Any, Self
 
 from agent.errors import Busy, JournalFailed
 from agent.execution.encoding import encode_result, encode_step, table_digest, to_json
-from agent.execution.journal_reader import JournalReader
+from agent.execution.journal_reader import WORKING_STEPS, JournalReader, require_same_version
 from agent.execution.journal_schema import FILE_NAME, prepare
 from agent.execution.replay_log import ReplayLog, comparable_estimate, read_replay_log
 from agent.execution.states import RunState
@@ -45,6 +45,7 @@ class Journal:
         self.path = directory / FILE_NAME
         try:
             directory.mkdir(parents=True, exist_ok=True)
+            require_same_version(directory)
             self._connection = sqlite3.connect(self.path, isolation_level=None, timeout=2.0)
             prepare(self._connection, self.path)
         except (OSError, sqlite3.Error) as error:
@@ -59,7 +60,7 @@ class Journal:
 
     def start_run(self, run_id: str, kind: str, settings: Mapping[str, Any], software: str, clock: Clock) -> RunJournal:
         """Create a run in the state IDLE and return an object that writes its records. Raises Busy if there is already
-        a run `run_id`.
+        a run `run_id`, and JournalFailed if the run cannot be written.
         """
         try:
             cursor = self._connection.execute(
@@ -68,6 +69,10 @@ class Journal:
             )
         except sqlite3.IntegrityError as error:
             raise Busy(f"run {run_id} exists already", file=str(self.path)) from error
+        except sqlite3.Error as error:
+            raise JournalFailed(
+                f"the journal cannot be written: {error}", hint=_DISK_HINT, file=str(self.path)
+            ) from error
         assert cursor.lastrowid is not None  # noqa: S101  an INSERT has one
         return RunJournal(self._connection, cursor.lastrowid, run_id, clock)
 
@@ -80,18 +85,6 @@ class Journal:
         """
         recorded = read_replay_log(JournalReader(self._connection), run)
         return RunJournal(self._connection, run, run_id, clock, recorded), recorded
-
-    def close_unresumable(self, before_run: int, reason: str) -> None:
-        """Set the state of every unfinished run with a number below `before_run` to FAULTED, and add `reason` to its
-        stored reason.
-
-        Such a run can no longer be resumed.
-        """
-        self._connection.execute(
-            "UPDATE runs SET state = ?, reason = coalesce(reason || '; ', '') || ?, ended = ? "
-            "WHERE ended IS NULL AND run < ?",
-            (RunState.FAULTED.value, reason, utc_timestamp(), before_run),
-        )
 
     def acknowledge(self, run_id: str) -> None:
         """Record durably that a person has acknowledged the end of the run `run_id`.
@@ -113,9 +106,11 @@ class Journal:
 
 @dataclass
 class _Count:
-    """Counter with the last ordinal assigned; shared by all writers of one run."""
+    """Counter with the last ordinal assigned, and whether the run has begun to measure or to write tables. Both are
+    shared by all writers of one run."""
 
     ordinal: int
+    worked: bool = False
 
 
 class RunJournal:
@@ -163,6 +158,15 @@ class RunJournal:
 
     def begin(self, step: Step) -> None:
         self._count.ordinal += 1
+        if self._count.worked or type(step).__name__ not in WORKING_STEPS:
+            self._insert_begun(step)
+            return
+        with self._transaction():
+            self._close_unresumable()
+            self._insert_begun(step)
+        self._count.worked = True
+
+    def _insert_begun(self, step: Step) -> None:
         self._execute(
             "INSERT INTO steps (run, ordinal, key, kind, detail, begun, aside) VALUES (?,?,?,?,?,?,?)",
             (
@@ -174,6 +178,15 @@ class RunJournal:
                 self._clock.now(),
                 self._aside,
             ),
+        )
+
+    def _close_unresumable(self) -> None:
+        """Set the state of every other unfinished run to FAULTED. It can no longer be resumed once this run measures or
+        writes tables."""
+        self._execute(
+            "UPDATE runs SET state = ?, reason = coalesce(reason || '; ', '') || ?, ended = ? "
+            "WHERE ended IS NULL AND run <> ?",
+            (RunState.FAULTED.value, f"interrupted, followed by run {self.run_id}", utc_timestamp(), self._run),
         )
 
     def finish(self, step: Step, result: object, *, begun: bool) -> None:

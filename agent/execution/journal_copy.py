@@ -16,6 +16,7 @@ from typing import Any
 from agent.errors import JournalFailed
 from agent.execution.journal_reader import open_journal
 from agent.execution.journal_schema import FILE_NAME
+from agent.execution.stored_json import stored_json
 
 
 def copy_journal(directory: Path, target: Path, edit_settings: Callable[[Any], Any]) -> Path:
@@ -32,7 +33,7 @@ def copy_journal(directory: Path, target: Path, edit_settings: Callable[[Any], A
         reader.copy_to(path)
         with closing(sqlite3.connect(path)) as copy, copy:
             for run, text in copy.execute("SELECT run, settings FROM runs").fetchall():
-                edited = json.dumps(edit_settings(json.loads(text)))
+                edited = json.dumps(edit_settings(stored_json(text)))
                 copy.execute("UPDATE runs SET settings = ? WHERE run = ?", (edited, run))
         with closing(sqlite3.connect(path)) as copy:
             copy.execute("VACUUM")

@@ -19,10 +19,12 @@ COUNTS = (
     "(SELECT count(*) FROM steps WHERE steps.run = runs.run AND kind = 'TouchTowards' AND result IS NOT NULL) "
     "FROM runs "
 )
-LAST_WORKING_RUN = RUN + (
-    "WHERE run IN (SELECT run FROM steps UNION SELECT run FROM origins WHERE begun_s IS NOT NULL) "
-    "ORDER BY run DESC LIMIT 1"
+BEGUN_RUNS = RUN + (
+    "WHERE EXISTS (SELECT 1 FROM steps WHERE steps.run = runs.run) "
+    "OR EXISTS (SELECT 1 FROM origins WHERE origins.run = runs.run AND begun_s IS NOT NULL) "
+    "ORDER BY run DESC"
 )
+HAS_STEP = "SELECT 1 FROM steps WHERE run = :run AND kind IN (SELECT value FROM json_each(:kinds)) LIMIT 1"
 ORIGIN = "SELECT run, run_id, settings, record, begun_s, begun_at FROM runs JOIN origins USING (run) WHERE run = :run"
 STEP = "SELECT ordinal, key, kind, detail, begun, finished, result, error FROM steps "
 TEMPERATURE = (

@@ -28,8 +28,9 @@ from agent.execution.journal_rows import (
     TemperatureRow,
     TouchRow,
 )
-from agent.execution.journal_schema import FILE_NAME, require_version
-from drivers.errors import InputError, VolcalError
+from agent.execution.journal_schema import FILE_NAME, is_empty, require_version
+from agent.execution.stored_json import damage_reported
+from drivers.errors import ConfigurationError, InputError, VolcalError
 
 if TYPE_CHECKING:
     from drivers.roles import TableImage
@@ -39,12 +40,43 @@ Row = TypeVar("Row")
 ANY_RUN = 2**62
 """Greater than the number of any run."""
 
+WORKING_STEPS = frozenset({"TouchTowards", "StageTable", "ActivateBank"})
+"""Types of the steps that measure or that change the compensation. A run without such a step leaves everything as an
+earlier run has left it."""
+
 _TIMEOUT_S = 2.0
 
 
 def has_journal(directory: Path) -> bool:
-    """Return True if the state directory `directory` contains a journal; there is none before the first run."""
-    return (directory / FILE_NAME).is_file()
+    """Return True if the state directory `directory` contains a journal; there is none before the first run.
+
+    A file without tables, which a full disk or a power cut can leave, is no journal yet: the next run creates its
+    tables. A file that cannot be read is one, and the functions that read it say what is wrong.
+    """
+    path = directory / FILE_NAME
+    if not path.is_file():
+        return False
+    try:
+        with _connection(path) as connection:
+            return not is_empty(connection)
+    except sqlite3.Error:
+        return True
+
+
+@contextmanager
+def _connection(path: Path) -> Iterator[sqlite3.Connection]:
+    uri = f"{path.resolve().as_uri()}?mode=ro"
+    with closing(sqlite3.connect(uri, uri=True, timeout=_TIMEOUT_S)) as connection:
+        yield connection
+
+
+def require_same_version(directory: Path) -> None:
+    """Raise ConfigurationError if the state directory contains a journal of a different version of volcal. The file is
+    not changed, not even as SQLite changes a file that is opened for writing."""
+    path = directory / FILE_NAME
+    if path.is_file():
+        with _connection(path) as connection:
+            require_version(connection, path, ConfigurationError)
 
 
 @contextmanager
@@ -57,10 +89,12 @@ def open_journal(directory: Path, failure: type[VolcalError] = InputError) -> It
     """
     path = directory / FILE_NAME
     try:
-        uri = f"{path.resolve().as_uri()}?mode=ro"
-        with closing(sqlite3.connect(uri, uri=True, timeout=_TIMEOUT_S)) as connection:
+        with _connection(path) as connection:
             require_version(connection, path, failure)
-            yield JournalReader(connection, path)
+            if is_empty(connection):
+                raise failure("the journal has no run yet", hint="the first run fills it", file=str(path))
+            with damage_reported(failure, path):
+                yield JournalReader(connection, path)
     except sqlite3.Error as error:
         raise failure(f"the journal cannot be read: {error}", file=str(path)) from error
 
@@ -102,9 +136,14 @@ class JournalReader:
     def last_run(self) -> RunRow | None:
         return self._first(RunRow, queries.RUN + "ORDER BY run DESC LIMIT 1")
 
-    def last_working_run(self) -> RunRow | None:
-        """Return the row of the last run that recorded a step or passed its preflight; None if there is none."""
-        return self._first(RunRow, queries.LAST_WORKING_RUN)
+    def latest_begun_runs(self) -> Iterator[RunRow]:
+        """Yield the rows of all runs that recorded a step or passed their preflight, the latest first."""
+        for row in self._connection.execute(queries.BEGUN_RUNS):
+            yield RunRow(*row)
+
+    def has_worked(self, run: int) -> bool:
+        """Return True if the run has begun to measure or to write tables."""
+        return self._one(queries.HAS_STEP, run=run, kinds=_listed(WORKING_STEPS)) is not None
 
     def run_counts(self, limit: int, before_run: int = ANY_RUN) -> tuple[RunCounts, ...]:
         """Return the rows of at most `limit` runs, the latest first, each with the number of its measured balls and the

@@ -9,11 +9,13 @@ database table, counted in the order in which the rows were written.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
+
+from agent.execution.stored_json import HINT, stored_json
+from drivers.errors import InputError
 
 
 class _Recorded:
@@ -92,7 +94,7 @@ class StepRow:
 
     @cached_property
     def result(self) -> Any:
-        return None if self.result_text is None else json.loads(self.result_text)
+        return None if self.result_text is None else stored_json(self.result_text)
 
 
 @dataclass(frozen=True)
@@ -173,5 +175,7 @@ class TableRow:
 
 
 def _decoded(text: str) -> Mapping[str, Any]:
-    document: dict[str, Any] = json.loads(text)
+    document = stored_json(text)
+    if not isinstance(document, dict):
+        raise InputError("the journal is damaged: a record is no JSON object", hint=HINT)
     return document

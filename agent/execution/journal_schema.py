@@ -17,12 +17,13 @@ VERSION = 3
 def prepare(connection: sqlite3.Connection, path: Path) -> None:
     """Create the database tables of the journal in one transaction if the database is empty.
 
-    After a power cut, the journal has all tables or none. Raises ConfigurationError if it has a different version.
+    After a power cut, the journal has all tables or none. Raises ConfigurationError if it has a different version; such
+    a journal is not written to.
     """
+    require_version(connection, path, ConfigurationError)
     connection.execute("PRAGMA journal_mode=WAL")
     connection.execute("PRAGMA synchronous=FULL")
-    require_version(connection, path, ConfigurationError)
-    if _version(connection) == VERSION:
+    if not is_empty(connection):
         return
     statements = (files(__package__) / "journal_schema.sql").read_text().split(";\n")
     connection.execute("BEGIN IMMEDIATE")
@@ -45,6 +46,12 @@ def require_version(connection: sqlite3.Connection, path: Path, failure: type[Vo
             hint="move the file to another directory; the next run begins a new journal",
             file=str(path),
         )
+
+
+def is_empty(connection: sqlite3.Connection) -> bool:
+    """Return True if the database has no tables yet, for example because the disk was full or the power failed when it
+    was created."""
+    return _version(connection) == 0
 
 
 def _version(connection: sqlite3.Connection) -> int:

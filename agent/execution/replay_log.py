@@ -15,6 +15,7 @@ from agent.execution.encoding import decode_result
 from agent.execution.journal_reader import JournalReader
 from agent.execution.journal_rows import EventRow, StepRow
 from agent.execution.states import RunState
+from agent.execution.stored_json import stored_json
 
 _PASSING = (RunState.IDLE, RunState.PREFLIGHT, RunState.RESUMING, RunState.HELD, RunState.WRITTEN)
 _ENDING = (RunState.ABORTING, RunState.ABORTED, RunState.FAULTED)
@@ -98,7 +99,7 @@ def comparable_estimate(estimate: str) -> tuple[str, str]:
 
     The texts of two estimates are then equal if the estimates differ only in this time.
     """
-    document: dict[str, Any] = json.loads(estimate)
+    document: dict[str, Any] = stored_json(estimate)
     provenance: Mapping[str, Any] = document.get("provenance", {})
     timeless = {name: value for name, value in provenance.items() if name != "time"}
     return str(document.get("format", "")), json.dumps({**document, "provenance": timeless}, sort_keys=True)

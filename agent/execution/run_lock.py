@@ -6,8 +6,9 @@ The operating system releases the lock when the process exits.
 from __future__ import annotations
 
 import fcntl
+import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TextIO
 
@@ -75,9 +76,11 @@ class Ownership:
             self.set_owner(self._owner)
 
     def set_owner(self, owner: str) -> None:
-        self._handle.truncate(0)
-        self._handle.write(owner)
-        self._handle.flush()
+        """Write the text that describes the owner. It is only shown to people: the lock holds also if the disk is full
+        and the text is lost."""
+        with suppress(OSError):
+            os.ftruncate(self._handle.fileno(), 0)
+            os.write(self._handle.fileno(), owner.encode())
 
 
 def _open_lock_file(directory: Path) -> TextIO:

@@ -5,7 +5,6 @@ The functions of this module do not change the journal.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any
 from agent.execution.journal_reader import JournalReader, has_journal, open_journal
 from agent.execution.journal_rows import DecisionRow, EventRow, RunRow, StepRow, TableRow
 from agent.execution.journal_schema import FILE_NAME
+from agent.execution.stored_json import stored_json
 from drivers.errors import InputError
 from twin.units import S_PER_MIN
 
@@ -42,7 +42,7 @@ class _StoredSettings:
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        document: dict[str, Any] = json.loads(self.settings_text)
+        document: dict[str, Any] = stored_json(self.settings_text)
         return document
 
 
@@ -139,7 +139,10 @@ def read_record(directory: Path, run_id: str) -> RunRecord:
     """
     _require_journal(directory, _NO_RUN)
     with open_journal(directory) as reader:
-        return _record(reader, reader.require_run(run_id))
+        record = _record(reader, reader.require_run(run_id))
+        for row in (*record.decisions, *record.events):
+            _ = row.record  # decoded here, so that damage is found while the journal is read
+        return record
 
 
 def read_steps(directory: Path, run_id: str) -> RunSteps:
@@ -151,7 +154,7 @@ def read_steps(directory: Path, run_id: str) -> RunSteps:
     _require_journal(directory, "name the folder of a run in a state directory")
     with open_journal(directory) as reader:
         run = reader.require_run(run_id).run
-        return RunSteps(json.loads(reader.settings_text(run)), reader.steps(run))
+        return RunSteps(stored_json(reader.settings_text(run)), reader.steps(run))
 
 
 def _require_journal(directory: Path, hint: str) -> None:

@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from agent.execution.run_record import RunRecord
+from agent.execution.stored_json import damage_reported, stored_json
 from agent.results.decision_kinds import CONFIRMED, IDENTIFIED, INPUTS, OUTCOME
+from drivers.errors import InputError
 from twin.units import MICRO_UNITS
 
 STORED_DECISIONS = frozenset(
@@ -52,9 +54,10 @@ def machine_name(settings: Mapping[str, Any]) -> str:
 
 
 def run_rows(record: RunRecord) -> RunRows:
-    estimate = None if record.estimate is None else json.loads(record.estimate)
-    parameters = _parameters(estimate)
-    return RunRows(_run(record, estimate), parameters, _temperatures(record), _decisions(record))
+    with damage_reported(InputError):
+        estimate = None if record.estimate is None else stored_json(record.estimate)
+        parameters = _parameters(estimate)
+        return RunRows(_run(record, estimate), parameters, _temperatures(record), _decisions(record))
 
 
 def _run(record: RunRecord, estimate: Mapping[str, Any] | None) -> dict[str, Any]:

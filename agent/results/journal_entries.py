@@ -8,14 +8,13 @@ of the machine, the artefact and the result that a report shows.
 from __future__ import annotations
 
 import hashlib
-import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from agent.execution.journal import RunJournal
-from agent.files import read_text
+from agent.files import read_text, translated
 from agent.planning.job import Job
 from agent.probing.measured_balls import MeasuredBall
 from agent.probing.preparation import PreparationResult
@@ -29,6 +28,7 @@ from drivers.errors import ConfigurationError
 from twin.artefact.artefact import Artefact
 from twin.artefact.position_set import MIN_BALLS, Position
 from twin.compensation.table_file import checksum, format_table
+from twin.formats.toml_reading import parse_toml
 from twin.units import UM_PER_MM
 
 _NAMED_FILES = ("grid", "covariance_file")
@@ -132,7 +132,8 @@ def input_files(machine: Path, artefact: Path) -> Iterator[Path]:
     """Yield the machine file, the artefact file, and each file that is named in one of these two."""
     for path in (machine, artefact):
         yield path
-        document = tomllib.loads(read_text(path, error=ConfigurationError))
+        with translated(ConfigurationError):
+            document = parse_toml(read_text(path, error=ConfigurationError), str(path))
         sections = [document, *(section for section in document.values() if isinstance(section, dict))]
         yield from (
             path.parent / section[key]

@@ -3,7 +3,6 @@ an interrupted run again and to detect changed input files."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from enum import Enum
@@ -12,6 +11,7 @@ from typing import Any
 
 from agent.errors import PlanDiverged
 from agent.execution.journal_reader import JournalReader
+from agent.execution.stored_json import stored_json
 from agent.results.journal_entries import input_files, sha256_of
 from agent.runs.consent import Consent
 from agent.runs.kinds.calibrate import FullCalibration
@@ -81,7 +81,7 @@ def read_origin(reader: JournalReader, run: int) -> Origin:
     x, y, z = record["start_mm"]
     return Origin(
         run_id=row.run_id,
-        settings=stored_settings(json.loads(row.settings_text), row.run_id),
+        settings=stored_settings(stored_json(row.settings_text), row.run_id),
         kind=_kind(record["kind"], record["options"]),
         base=Path(record["base"]),
         start=StartConditions(run, record["at"], (x, y, z), _store(record["store"])),

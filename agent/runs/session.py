@@ -95,7 +95,6 @@ def carry_out(
                 journal.origin(origin_record(settings, kind, base, start))
                 planned = session.plan(start)
                 journal.begun()
-                resources.journal.close_unresumable(journal.run, f"interrupted, followed by run {run_id}")
                 session.carry_out(planned)
         return session.result()
 
@@ -222,15 +221,27 @@ class RunSession:
 
     def result(self) -> RunResult:
         """Journal the outcome of the run, write the result files if the caller's hooks require it, and return the
-        result of the run."""
-        context, progress = self._context, self.progress
+        result of the run.
+
+        If the result files cannot be written, for example because the disk is full, this is the error of the result
+        only if the run has no error of its own.
+        """
+        context, error = self._context, self.progress.error
         outcome = self._outcome()
         attempt("record the outcome", lambda: record_outcome(context.journal, outcome))
         if context.hooks.write_files:
             self._feed_history()
-            outcome = write_results(self._measured_job, outcome, progress, self._report())
-            write_copy(self._measured_job.settings.state_directory, context.journal.run_id)
-        return RunResult(outcome, progress.error)
+            try:
+                outcome = self._write_files(outcome)
+            except VolcalError as failure:
+                self._note(f"no result files: {failure}")
+                error = error or failure
+        return RunResult(outcome, error)
+
+    def _write_files(self, outcome: Outcome) -> Outcome:
+        outcome = write_results(self._measured_job, outcome, self.progress, self._report())
+        write_copy(self._measured_job.settings.state_directory, self._context.journal.run_id)
+        return outcome
 
     @property
     def _measured_job(self) -> Job:

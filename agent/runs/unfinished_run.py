@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from agent.execution.journal_reader import JournalReader, has_journal, open_journal
+from agent.execution.journal_rows import RunRow
 from agent.execution.states import FINAL, RunState
 from agent.runs.reference_state import ACTIVATING_DECISIONS
 from agent.runs.unproved_table import GIVEN_UP
@@ -39,7 +40,7 @@ STOPPED = "Aborted"
 
 @dataclass(frozen=True)
 class UnfinishedRun:
-    """Interrupted run after which no other run has carried out a step or passed its preflight.
+    """Interrupted run after which no other run has measured or written tables.
 
     `started` is the UTC time of the start. `state` is the last state that the run entered. `balls` is the number of
     stored ball centres. `last_step` is the key of the last step that began. `refusal` is the reason why the run cannot
@@ -75,9 +76,25 @@ def unfinished_run(state_directory: Path) -> UnfinishedRun | None:
 
 
 def _last(reader: JournalReader) -> UnfinishedRun | None:
-    row = reader.last_working_run()  # a run that was refused before it began does not hide an interrupted one
-    if row is None:
-        return None
+    """Return the last run that has measured or written tables if it is unfinished.
+
+    Later runs that ended before they had done either do not hide it. If it is finished, or if there is none, return the
+    latest of those later runs if that one is unfinished.
+    """
+    later: UnfinishedRun | None = None
+    for row in reader.latest_begun_runs():
+        if not reader.has_worked(row.run):
+            later = later or _unfinished(reader, row)
+            continue
+        found = _unfinished(reader, row)
+        if found is None and later is not None and (row.ended or "") >= later.started:
+            return None  # this run was resumed after the later one had ended
+        return found or later
+    return later
+
+
+def _unfinished(reader: JournalReader, row: RunRow) -> UnfinishedRun | None:
+    """Return what is known of the run if it is unfinished."""
     state = RunState(row.state)
     fault = _fault(reader, row.run) if state is RunState.FAULTED else ""
     stopped = state is RunState.ABORTED or fault == STOPPED

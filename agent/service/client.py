@@ -13,6 +13,7 @@ from typing import Any, Self
 import httpx
 
 from agent import errors as run_errors
+from agent.printable import printable
 from agent.service.address_file import ADDRESS_FILE, read_address
 from agent.service.token import read_token, token_path
 from agent.settings.schema import Settings
@@ -87,7 +88,8 @@ class Client:
             ) from error
         if answer.is_error:
             raise error_of(document)
-        return document
+        shown: Document = _printable(document)
+        return shown
 
     def _lost(self, error: httpx.TransportError) -> VolcalError:
         link = str(self._http.base_url)
@@ -117,7 +119,7 @@ def _connect(settings: Settings) -> httpx.Client:
         raise NoService(
             "no service runs for this machine", hint=_START_IT, file=str(settings.state_directory)
         ) from None
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError, RecursionError) as error:
         raise NoService(
             f"the address file of the service cannot be read: {error}",
             file=str(settings.state_directory / ADDRESS_FILE),
@@ -137,6 +139,15 @@ def _ssl_context(certificate: Path | None) -> ssl.SSLContext | bool:
     return context
 
 
+def _printable(value: Any) -> Any:
+    """Return the document with all its texts printable, so that a terminal shows and never obeys them."""
+    if isinstance(value, str):
+        return printable(value)
+    if isinstance(value, list):
+        return [_printable(part) for part in value]
+    return {key: _printable(part) for key, part in value.items()} if isinstance(value, dict) else value
+
+
 def _parse_events(lines: Iterator[str]) -> Iterator[tuple[str, Document]]:
     """Yield (kind, document) of each event in the lines of a `text/event-stream`; comments are skipped."""
     kind, data = "message", ""
@@ -148,5 +159,5 @@ def _parse_events(lines: Iterator[str]) -> Iterator[tuple[str, Document]]:
             case "data":
                 data += value.strip()
             case "" if not line and data:
-                yield kind, json.loads(data)
+                yield kind, _printable(json.loads(data))
                 kind, data = "message", ""

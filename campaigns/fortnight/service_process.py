@@ -107,7 +107,7 @@ class ServiceHost:
         arguments = ["-m", "campaigns.fortnight.serving", str(self.config), str(self.calendar)]
         with (self.directory / "service.log").open("a", encoding="utf-8") as log:
             self._service = self._start([sys.executable, *arguments], stdout=log, stderr=subprocess.STDOUT)
-        address_file.remove_address(self.state)  # left by a service that was killed
+        (self.state / address_file.ADDRESS_FILE).unlink(missing_ok=True)  # left by a service that was killed
         wait_for(lambda: (self.state / address_file.ADDRESS_FILE).exists() or self._ended(), "the service")
         if self._ended():
             raise RuntimeError((self.directory / "service.log").read_text(encoding="utf-8")[-2000:])

@@ -7,6 +7,7 @@ therefore been received. After a read of the statusword, all earlier emergency a
 
 from __future__ import annotations
 
+import struct
 import threading
 from collections.abc import Callable
 from typing import TypeVar
@@ -182,6 +183,12 @@ class DriveNode:
                 ) from error
             except canopen.SdoCommunicationError as error:
                 raise self._unanswered(entry, error) from error
+            except struct.error as error:
+                raise ProtocolError(
+                    f"the SDO answer for {entry} is too short: {error}",
+                    hint="every SDO frame has 8 bytes: check that no other device uses the identifiers of this node",
+                    **self.where,
+                ) from error
             except (can.CanError, OSError) as error:
                 raise self._link.lost_error(str(error)).at(**self.where) from error
 

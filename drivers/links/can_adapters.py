@@ -28,6 +28,7 @@ import can
 from can.interfaces.slcan import slcanBus
 from can.interfaces.socketcand import SocketCanDaemonBus
 
+from drivers.address_filter import filter_hint
 from drivers.clock import wall_seconds
 from drivers.errors import ConfigurationError, LinkLost
 
@@ -245,6 +246,6 @@ def _hint(address: CanAddress) -> str:
         case "udp_multicast":
             return "check that the network interface is up, supports multicast and has a route for 224.0.0.0/4"
         case "socketcand":
-            return "check that the CAN server is running"
+            return filter_hint("check that the CAN server is running", str(dict(address.options).get("host", "")))
         case _:
             return "check that the interface exists and is up (ip link)"

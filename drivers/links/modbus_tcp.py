@@ -17,6 +17,7 @@ from pymodbus.client import ModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusException, ModbusIOException
 from pymodbus.pdu import ExceptionResponse, ModbusPDU
 
+from drivers.address_filter import filter_hint
 from drivers.errors import LinkError, LinkLost, LinkTimeout
 from drivers.links.modbus_transport import EXCEPTION_BIT, DamagedFrame
 
@@ -42,6 +43,7 @@ class TcpTransport:
 
     def __init__(self, endpoint: TcpEndpoint, *, timeout_s: float, where: Mapping[str, str]) -> None:
         self._unit = endpoint.unit
+        self._host = endpoint.host
         self._timeout_s = timeout_s
         self._where = where
         client = ModbusTcpClient(endpoint.host, port=endpoint.port, timeout=timeout_s, retries=0)
@@ -61,7 +63,9 @@ class TcpTransport:
         if not self._client.connect():
             raise LinkLost(
                 "cannot connect to the Modbus server",
-                hint="check the address, the cable and that the controller's Modbus server is running",
+                hint=filter_hint(
+                    "check the address, the cable and that the controller's Modbus server is running", self._host
+                ),
                 **self._where,
             )
 

@@ -121,10 +121,12 @@ class BridgeLink:
             self._number += 1
             self._send({"id": self._number, "do": what, **fields})
             answer = self._answer(self._number)
-        if "ok" in answer:
-            reply: Answer = answer["ok"]
-            return reply
-        raise self._refusal(answer)
+        if "ok" not in answer:
+            raise self._refusal(answer)
+        reply = answer["ok"]
+        if not isinstance(reply, dict):
+            raise ProtocolError(f"no answer to {what!r} from the bridge: {str(reply)[:80]}", **self.where)
+        return reply
 
     def abort(self) -> None:
         """Stop any motion of the machine.
@@ -150,7 +152,9 @@ class BridgeLink:
 
     def get_all(self, names: Sequence[str]) -> list[PinValue]:
         """Return the values of several HAL pins by a single request to the bridge."""
-        values: list[PinValue] = self.ask("hal_get", names=list(names))["values"]
+        values = self.ask("hal_get", names=list(names)).get("values")
+        if not isinstance(values, list) or len(values) != len(names):
+            raise ProtocolError("the bridge did not return the value of every pin", **self.where)
         return values
 
     def set(self, name: str, value: PinValue) -> None:
@@ -224,7 +228,7 @@ class BridgeLink:
     def _parse(self, line: bytes) -> Answer:
         try:
             answer = json.loads(line)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise ProtocolError(f"not JSON from the bridge: {line[:80]!r}", **self.where) from error
         if not isinstance(answer, dict):
             raise ProtocolError(f"no object from the bridge: {line[:80]!r}", **self.where)

@@ -106,10 +106,10 @@ Line = AnswerLine | StatusReport | AlarmLine | ProbeResult | MessageLine | Setti
 
 _ERROR: Final = re.compile(r"error:(\d{1,3})")
 _ALARM: Final = re.compile(r"ALARM:(\d{1,3})")
-_SETTING: Final = re.compile(r"\$(N?\d+)=(.*)")
+_SETTING: Final = re.compile(r"\$(N?\d{1,9})=(.*)")
 _WELCOME: Final = re.compile(r"Grbl(HAL)? \d.*\[.*\]")
 _PROBE: Final = re.compile(r"([-\d.,]+):([01])")
-_STATE: Final = re.compile(r"(Idle|Run|Hold|Jog|Alarm|Door|Check|Home|Sleep|Tool)(?::(\d+))?")
+_STATE: Final = re.compile(r"(Idle|Run|Hold|Jog|Alarm|Door|Check|Home|Sleep|Tool)(?::(\d{1,9}))?")
 
 
 def parse_line(raw: bytes) -> Line:  # noqa: PLR0911  one line a class

@@ -40,7 +40,7 @@ def read_control(source: SourceLine) -> OWord | None:
     found = _O_WORD.match(code)
     if found is None:
         return None
-    rest, label = code[found.end() :], found[1] or (str(int(found[2])) if found[2] else "")
+    rest, label = code[found.end() :], found[1] or (found[2].lstrip("0") or "0" if found[2] else "")
     if not label:
         return OWord("", "call", rest, code.startswith("/"))
     keyword = _KEYWORD.fullmatch(rest)

@@ -14,6 +14,7 @@ from functools import partial
 
 from gcode.flattening.parameters import Key, ProgramParameters
 from gcode.source import SourceLine
+from gcode.words import LARGEST_NUMBER
 
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)")
 _NAME = re.compile(r"<([^<>]*)>")
@@ -104,7 +105,10 @@ class ExpressionReader:
         number = _NUMBER.match(self.code, self.at)
         if number is not None:
             self.at = number.end()
-            return float(number[0])
+            value = float(number[0])
+            if abs(value) > LARGEST_NUMBER:
+                self.source.refuse(f"a number {self._place()} has too many digits")
+            return value
         self.computed = True
         sign = self.next
         # A sign belongs to its value and precedes every operator: -2**2 is 4.

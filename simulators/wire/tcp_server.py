@@ -8,9 +8,11 @@ import contextlib
 import socket
 import threading
 from collections.abc import Callable
+from functools import partial
 
 import structlog
 
+from drivers.accept_loop import accepted, attended
 from drivers.errors import ConfigurationError
 
 LONGEST_LINE = 65536
@@ -39,7 +41,7 @@ class TcpServer:
         self._one_client = one_client
         self._connections: set[socket.socket] = set()
         self._guard = threading.Lock()
-        self._closed = False
+        self._closed = threading.Event()
         try:
             self._listener = socket.create_server(address)
         except (OSError, OverflowError) as error:
@@ -63,7 +65,7 @@ class TcpServer:
     def close(self) -> None:
         """Stop listening and close all connections; return once no further connection can be served."""
         with self._guard:
-            self._closed = True
+            self._closed.set()
             for connection in (self._listener, *self._connections):
                 with contextlib.suppress(OSError):
                     connection.shutdown(socket.SHUT_RDWR)
@@ -72,22 +74,16 @@ class TcpServer:
         self._listener.close()
 
     def _accept_forever(self) -> None:
-        while not self._closed:
-            try:
-                connection, _ = self._listener.accept()
-            except OSError:
-                return  # the listener was shut down
+        for connection, _ in accepted(self._listener, self._closed, self._name):
             if self._one_client:
                 self._attend(connection)
             else:
-                threading.Thread(
-                    target=self._attend, args=(connection,), name=f"{self._name} client", daemon=True
-                ).start()
+                attended(connection, partial(self._attend, connection), self._name)
 
     def _attend(self, connection: socket.socket) -> None:
         with connection:
             with self._guard:
-                if self._closed:
+                if self._closed.is_set():
                     return
                 self._connections.add(connection)
             try:

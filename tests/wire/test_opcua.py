@@ -368,6 +368,22 @@ def test_trust_is_given_and_taken_without_a_restart(world, tmp_path):
         asyncio.run(scene())
 
 
+def test_idle_connections_keep_no_trusted_client_out(world):
+    host, port = world.endpoint.address
+    with contextlib.ExitStack() as held:
+        idle = [held.enter_context(socket.create_connection((host, port), timeout=WITHIN_S)) for _ in range(50)]
+        assert idle[0].recv(1) == b""  # the oldest makes room
+
+        async def play() -> None:
+            async with world.connected() as client:
+                for _ in range(30):
+                    idle.append(held.enter_context(socket.create_connection((host, port), timeout=WITHIN_S)))
+                await asyncio.to_thread(idle[40].recv, 1)
+                assert await read(client, "Monitoring/PackMLState") == "Idle"
+
+        asyncio.run(play())
+
+
 def test_nobody_gets_a_session_without_encryption(readable):
     async def scene() -> None:
         client = Client(readable.url, timeout=WITHIN_S)

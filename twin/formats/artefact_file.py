@@ -7,8 +7,6 @@ centres.
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 from collections.abc import Callable, Sequence
@@ -29,6 +27,7 @@ from twin.artefact.certificate import (
     with_uncertified,
 )
 from twin.errors import DataError, FormatError
+from twin.formats.csv_reading import csv_lines
 from twin.formats.toml_reading import StrictModel, read_toml
 from twin.units import MM_PER_UM, REFERENCE_TEMPERATURE_C, UM_PER_MM
 
@@ -335,7 +334,7 @@ def _parse_covariance(text: str, source: str, size: int) -> Array:
 
     The text has one row for each coordinate, ball by ball in the order x, y, z.
     """
-    rows = [row for row in csv.reader(io.StringIO(text)) if row]
+    rows = [row for _, row in csv_lines(text, source) if row]
     if len(rows) != size:
         raise FormatError(f"{len(rows)} rows, expected {size} (3 per ball)", file=source)
     values = np.empty((size, size))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -46,20 +47,32 @@ class CsvRow:
         return value
 
 
+def csv_lines(text: str, source: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield the cells of every row of a CSV text with the number of its last line. Raise FormatError if a row cannot be
+    split into cells, for example because one cell is longer than 131072 characters."""
+    lines = csv.reader(io.StringIO(text.removeprefix("\ufeff"), newline=""))
+    try:
+        for cells in lines:
+            yield lines.line_num, cells
+    except csv.Error as error:
+        hint = "Check the quotation marks: one that is not closed joins all lines that follow"
+        raise FormatError(f"this is not valid CSV: {error}", hint=hint, file=source, row=lines.line_num) from None
+
+
 def read_rows(text: str, source: str, columns: Sequence[str]) -> Iterator[CsvRow]:
     """Yield the rows of a CSV text. The header must contain exactly the names in `columns`, in any order. Blank lines
     are skipped."""
-    lines = csv.reader(text.removeprefix("\ufeff").splitlines())
-    header = [name.strip() for name in next(lines, [])]
+    lines = csv_lines(text, source)
+    header = [name.strip() for name in next(lines, (1, []))[1]]
     _check_header(header, source, columns)
-    for cells in lines:
+    for number, cells in lines:
         if not any(cell.strip() for cell in cells):
             continue
         if len(cells) != len(header):
             message = f"{len(cells)} values, but the header names {len(header)} columns"
-            raise FormatError(message, file=source, row=lines.line_num)
+            raise FormatError(message, file=source, row=number)
         named = {name: cell.strip() for name, cell in zip(header, cells, strict=True)}
-        yield CsvRow(source, lines.line_num, named)
+        yield CsvRow(source, number, named)
 
 
 def _check_header(header: list[str], source: str, columns: Sequence[str]) -> None:

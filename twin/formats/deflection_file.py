@@ -6,7 +6,6 @@ the node; the columns ux, uy and uz contain the displacement.
 
 from __future__ import annotations
 
-import csv
 import math
 
 import numpy as np
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from twin.arrays import Array
 from twin.errors import FormatError, ModelError
+from twin.formats.csv_reading import csv_lines
 from twin.machine.deflection import DeflectionGrid
 from twin.machine.kinematic_chain import AXES
 
@@ -54,19 +54,19 @@ def format_deflection(grid: DeflectionGrid) -> str:
 def _numbers(text: str, source: str) -> tuple[Array, list[int]]:
     """Return the values (n, 6) of n lines, with columns in the order of `COLUMNS`, and the row number of each line in
     the file."""
-    lines = csv.reader(text.removeprefix("\ufeff").splitlines())
-    header = [name.strip() for name in next(lines, [])]
+    lines = csv_lines(text, source)
+    header = [name.strip() for name in next(lines, (1, []))[1]]
     _check_header(header, source)
     order = [header.index(name) for name in COLUMNS]
     table, rows = [], []
-    for cells in lines:
+    for number, cells in lines:
         if not any(cell.strip() for cell in cells):
             continue
         if len(cells) != len(header):
             message = f"{len(cells)} values, but the header names {len(header)} columns"
-            raise FormatError(message, file=source, row=lines.line_num)
-        table.append([_number(cells[k], header[k], lines.line_num, source) for k in order])
-        rows.append(lines.line_num)
+            raise FormatError(message, file=source, row=number)
+        table.append([_number(cells[k], header[k], number, source) for k in order])
+        rows.append(number)
     if not table:
         raise FormatError("no node follows the header", file=source)
     return np.array(table), rows

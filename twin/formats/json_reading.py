@@ -19,6 +19,8 @@ def read_json(text: str, source: str, kind: type[Section], *, format_name: str, 
     """
     try:
         document = json.loads(text, parse_constant=_refuse_constant)
+    except RecursionError:
+        raise FormatError("lists or objects are nested too deeply", file=source) from None
     except ValueError as error:
         raise FormatError(f"this is not valid JSON: {error}", file=source) from None
     if not isinstance(document, dict):

@@ -15,6 +15,7 @@ from collections.abc import Iterable
 
 from twin.artefact.position_set import Position
 from twin.errors import DataError, FormatError
+from twin.formats.csv_reading import csv_lines
 from twin.formats.toml_reading import StrictModel, read_toml
 
 COLUMNS = ("station", "azimuth_deg", "elevation_deg")
@@ -58,7 +59,7 @@ def _from_toml(text: str, source: str) -> list[tuple[int, Position]]:
 
 def _from_csv(text: str, source: str) -> list[tuple[int, Position]]:
     """Return the row number and the position of every line. Comments count as rows."""
-    rows = enumerate(csv.reader(io.StringIO(text)), start=1)
+    rows = enumerate((cells for _, cells in csv_lines(text, source)), start=1)
     first, *lines = [(row, cells) for row, cells in rows if not _is_comment(cells)] or [(1, [])]
     header = [name.strip() for name in first[1]]
     required = [name for name in header if name not in _OPTIONAL]

@@ -21,6 +21,9 @@ class StrictModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+MAX_TOML_CHARACTERS = 1_000_000
+MAX_KEY_PARTS = 32
+_LONG_KEY = re.compile(rf"""(?<![\w"'-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{MAX_KEY_PARTS}}}""")
 _UNION_LABEL = re.compile(r"(float|int|bool|str|constrained-\w+)$|.*\[")
 
 Section = TypeVar("Section", bound=BaseModel)
@@ -42,12 +45,30 @@ def forbid_unknown_keys(kind: type) -> BeforeValidator:
 def read_toml(text: str, source: str, kind: type[Section]) -> Section:
     """Return the value of type `kind` given as TOML text. Raise FormatError, which names the file `source`, if the text
     is invalid."""
+    return validate_document(parse_toml(text, source), source, kind)
+
+
+def parse_toml(text: str, source: str) -> dict[str, Any]:
+    """Return the document given as TOML text. Raise FormatError, which names the file `source`, if the text is invalid,
+    too long, or nested too deeply.
+
+    The limits keep the time of the parser below some seconds: its time and memory grow with the square of the number
+    of parts of a dotted key.
+    """
+    if len(text) > MAX_TOML_CHARACTERS:
+        message = f"this TOML file has {len(text)} characters, at most {MAX_TOML_CHARACTERS} are read"
+        raise FormatError(message, hint="Check that this is the right file", file=source)
+    long_key = _LONG_KEY.search(text)
+    if long_key is not None:
+        line = text.count("\n", 0, long_key.start()) + 1
+        raise FormatError(f"a key has more than {MAX_KEY_PARTS} parts", file=source, line=line)
     try:
-        document = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise FormatError("lists or tables are nested too deeply", file=source) from None
+    except ValueError as error:  # also of numbers with thousands of digits, which Python does not convert
         hint = "Put text in quotes, lists in brackets, and section names in brackets on a line of their own"
         raise FormatError(f"this is not valid TOML: {error}", hint=hint, file=source) from None
-    return validate_document(document, source, kind)
 
 
 def validate_document(document: dict[str, Any], source: str, kind: type[Section]) -> Section:

@@ -10,9 +10,11 @@ from contextlib import contextmanager
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn
+from rich.text import Text
 
 from agent.execution.run_state import Announcement, Listener
 from agent.figures.numbers import significant
+from agent.printable import printable
 
 
 class _Watcher:
@@ -26,9 +28,9 @@ class _Watcher:
             case "state":
                 state = announcement.data["state"]
                 text = announcement.text if announcement.text != state else ""
-                self._console.print(f"[bold]{state}[/bold] {text}".rstrip(), highlight=False)
+                self._console.print(Text.assemble((state, "bold"), f" {printable(text)}".rstrip()))
             case "note":
-                self._console.print(f"  {announcement.text}{_figures(announcement)}", highlight=False)
+                self._console.print(Text(f"  {printable(announcement.text)}{_figures(announcement)}"))
             case "progress":
                 self._advance(announcement)
 
@@ -54,7 +56,7 @@ def watching(console: Console) -> Iterator[Listener]:
         BarColumn(bar_width=20),
         TextColumn("{task.percentage:>3.0f} %"),
         TextColumn("{task.fields[left]}"),
-        TextColumn("{task.fields[where]}", style="dim"),
+        TextColumn("{task.fields[where]}", style="dim", markup=False),
     )
     with Progress(*columns, console=console, transient=False) as bar:
         yield _Watcher(console, bar)

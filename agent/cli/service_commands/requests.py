@@ -19,6 +19,7 @@ if will_run():
     from agent.service.client import Client, NoService
     from agent.settings.load import read_settings
     from agent.settings.schema import Settings
+    from drivers.errors import ConfigurationError
 
 
 @click.command("hold")
@@ -40,7 +41,12 @@ def abort_command(config: Path, reason: str) -> None:
 
     Needs no token. Has no effect between runs.
     """
-    with Client(read_settings(config)) as client:
+    try:
+        settings = read_settings(config)
+    except ConfigurationError as error:
+        elsewhere = "the abort was NOT sent: abort on the page or at the panel, or press the emergency stop"
+        raise ConfigurationError(error.message, hint=elsewhere, **error.where) from error
+    with Client(settings) as client:
         client.post("/api/abort", {"reason": reason}, token=False)
     click.echo("abort requested")
 

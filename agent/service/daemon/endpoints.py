@@ -21,11 +21,14 @@ from agent.settings.schema import Settings
 
 
 class Endpoint(Protocol):
-    """Endpoint of the service. `start` returns once clients can connect, or raises an error. `stop` returns once the
-    endpoint no longer serves any client."""
+    """Endpoint of the service. `start` returns once clients can connect, or raises an error. `alive` is False if the
+    endpoint has ended by itself. `stop` returns once the endpoint no longer serves any client."""
 
     @property
     def name(self) -> str: ...
+
+    @property
+    def alive(self) -> bool: ...
 
     def start(self, control: Control) -> None: ...
 

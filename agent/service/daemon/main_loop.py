@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from types import FrameType
+from typing import TYPE_CHECKING
 
 import structlog
 
@@ -18,7 +19,10 @@ from agent.service.owner.health import Health
 from agent.service.owner.owner import Owner
 from agent.settings.load import load_settings
 from drivers.clock import RealClock
-from drivers.errors import VolcalError
+from drivers.errors import LinkLost, VolcalError
+
+if TYPE_CHECKING:
+    from agent.service.daemon.endpoints import Endpoint
 
 log = structlog.get_logger()
 
@@ -55,6 +59,8 @@ class MainLoop:
     notifier: Notifier
     signals: SimpleQueue[int]
     config: Path
+    endpoints: Sequence[Endpoint] = ()
+    _reload_waits: bool = False
     _last_text: str = ""
     _hung: bool = False
 
@@ -62,7 +68,9 @@ class MainLoop:
         """Report readiness to systemd. Then feed systemd's watchdog, report the status, and reload the settings on
         SIGHUP.
 
-        On SIGTERM or SIGINT hold the run, withdraw the probe, close the owner of the machine and return.
+        On SIGTERM or SIGINT hold the run, withdraw the probe, close the owner of the machine and return. If an endpoint
+        has ended by itself, do the same and raise LinkLost: clients of that endpoint could no longer abort a run, and
+        systemd starts the service again.
         """
         self.owner.reconcile_if_reached()
         self.notifier.send(READY=1, STATUS=self._text())
@@ -70,10 +78,19 @@ class MainLoop:
         if self.notifier.watchdog_s is not None:
             period_s = min(period_s, self.notifier.watchdog_s / FEEDS_PER_PERIOD)
         while (number := self._signal(period_s)) not in (signal.SIGTERM, signal.SIGINT):
-            if number == signal.SIGHUP:
+            if number == signal.SIGHUP or (self._reload_waits and not self.owner.busy):
                 self._reload()
             self._feed_watchdog()
+            self._require_endpoints()
         self._stop(signal.Signals(number).name if number is not None else "")
+
+    def _require_endpoints(self) -> None:
+        ended = [endpoint.name for endpoint in self.endpoints if not endpoint.alive]
+        if ended:
+            names = ", ".join(ended)
+            log.error("an endpoint has ended by itself; the service stops", endpoints=names)
+            self._stop(f"the end of the endpoint {names}")
+            raise LinkLost(f"the endpoint {names} has ended by itself", hint="its cause is in the log; start again")
 
     def _signal(self, within_s: float) -> int | None:
         try:
@@ -105,17 +122,29 @@ class MainLoop:
         return status_text(self.owner.status(), hung=self._hung)
 
     def _reload(self) -> None:
-        """Read the settings file again for the next runs. If it is invalid, report that and keep the old settings."""
+        """Read the settings file again for the next runs. If it is invalid, report that and keep the old settings.
+
+        While a run is in progress the file is not even opened; it is read after the end of the run.
+        """
         self.notifier.send(RELOADING=1, MONOTONIC_USEC=int(US_PER_S * RealClock().now()))
+        self._reload_waits = self.owner.busy
+        self.notifier.send(READY=1, STATUS=self._reloaded())
+
+    def _reloaded(self) -> str:
+        """Reload the settings and return the result as text for `systemctl status`."""
+        if self._reload_waits:
+            log.info("settings are reloaded after the run in progress")
+            return "settings are reloaded after the run in progress"
         try:
             self.owner.reload(load_settings(self.config))
         except VolcalError as error:
             log.error("settings not reloaded; the previous ones stay in use", reason=str(error))
-            text = f"settings not reloaded: {error}"
-        else:
-            log.info("settings reloaded")
-            text = self._text()
-        self.notifier.send(READY=1, STATUS=text)
+            return f"settings not reloaded: {error}".replace("\n", " ")
+        except Exception as defect:  # a defect in a reader must not end the service and the run with it
+            log.exception("settings not reloaded; the previous ones stay in use")
+            return f"settings not reloaded: defect in the service ({type(defect).__name__})"
+        log.info("settings reloaded")
+        return self._text()
 
     def _stop(self, name: str) -> None:
         within_s = self.owner.settings.service.stop_timeout_s

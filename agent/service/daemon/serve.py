@@ -70,9 +70,10 @@ def serve(config: Path, circumstances: Callable[[], Circumstances] = current_cir
             return create_app(app_state, names, http_extensions(settings))
 
         http = HttpEndpoint(settings.service, directory, make_app)
-        with open_endpoints([http, *further_endpoints(settings)], owner):
+        endpoints = [http, *further_endpoints(settings)]
+        with open_endpoints(endpoints, owner):
             log.info("serving", url=http.url, machine=settings.machine.name, state_directory=str(directory))
-            MainLoop(owner, parts.health, Notifier(), signals, config).run()
+            MainLoop(owner, parts.health, Notifier(), signals, config, endpoints).run()
             parts.event_log.close()
         if not parts.reports.close(REPORT_TIMEOUT_S):
             log.warning("a report was not finished; it is rendered on request")

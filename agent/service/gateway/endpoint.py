@@ -38,6 +38,12 @@ class GatewayEndpoint:
         return "panel gateway"
 
     @property
+    def alive(self) -> bool:
+        """True as long as panels can connect and their heartbeats are watched."""
+        server, ticker = self._server, self._ticker
+        return server is not None and server.alive and ticker is not None and ticker.is_alive()
+
+    @property
     def address(self) -> tuple[str, int]:
         """Host and port on which the server listens; available only while the endpoint is open."""
         if self._server is None:

@@ -8,6 +8,7 @@ import itertools
 import socket
 import threading
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Final
 
 import structlog
@@ -21,6 +22,7 @@ from agent.service.gateway.frames import (
     answer_request,
     body_length,
 )
+from drivers.accept_loop import accepted, attended
 from drivers.errors import ConfigurationError
 
 JOIN_S: Final = 5.0
@@ -71,7 +73,7 @@ class ModbusServer:
         self._guard = threading.Lock()
         self._clients: set[_Client] = set()
         self._requests = itertools.count(1)
-        self._stopped = False
+        self._stopped = threading.Event()
         self._listener = _listen(address)
         self._thread = threading.Thread(target=self._accept_forever, name="gateway", daemon=True)
 
@@ -81,13 +83,18 @@ class ModbusServer:
         host, port = self._listener.getsockname()[:2]
         return str(host), int(port)
 
+    @property
+    def alive(self) -> bool:
+        """True as long as further panels can connect."""
+        return self._thread.is_alive()
+
     def start(self) -> None:
         self._thread.start()
 
     def stop(self) -> None:
         """Close all connections. After this method has returned, the server executes no further request."""
         with self._guard:
-            self._stopped = True
+            self._stopped.set()
             with contextlib.suppress(OSError):
                 self._listener.shutdown(socket.SHUT_RDWR)
             for client in self._clients:
@@ -97,23 +104,19 @@ class ModbusServer:
         self._listener.close()
 
     def _accept_forever(self) -> None:
-        while not self._stopped:
-            try:
-                connection, peer = self._listener.accept()
-            except OSError:
-                return  # the listener was shut down
-            client = _Client(connection, str(peer[0]))
-            if self._admit(client):
-                threading.Thread(target=self._handle_client, args=(client,), name="gateway panel", daemon=True).start()
-            else:
+        for connection, peer in accepted(self._listener, self._stopped, "panel gateway"):
+            client = _Client(connection, peer)
+            if not self._admit(client):
                 connection.close()
+            elif not attended(connection, partial(self._handle_client, client), "panel gateway"):
+                self._forget(client)
 
     def _admit(self, client: _Client) -> bool:
         if not self._is_allowed(client.peer):
             log.warning("connection refused", peer=client.peer, reason="not in gateway.clients")
             return False
         with self._guard:
-            if self._stopped:
+            if self._stopped.is_set():
                 return False
             if len(self._clients) >= self._max_clients:
                 self._make_room()
@@ -141,14 +144,17 @@ class ModbusServer:
             except (OSError, FramingError) as error:
                 log.info("connection to panel ended", reason=str(error))
             finally:
-                with self._guard:
-                    self._clients.discard(client)
+                self._forget(client)
+
+    def _forget(self, client: _Client) -> None:
+        with self._guard:
+            self._clients.discard(client)
 
     def _serve(self, client: _Client) -> None:
         table = self._session()
         while (header := _receive(client.connection, HEADER.size)) is not None:
             request = _receive(client.connection, body_length(header))
-            if request is None or self._stopped:
+            if request is None or self._stopped.is_set():
                 return
             client.last_request = next(self._requests)
             client.connection.sendall(answer_frame(header, _answer(request, table)))

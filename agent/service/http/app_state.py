@@ -30,7 +30,8 @@ class AppState:
     token: str
 
 
-def app_state_of(request: Request) -> AppState:
+async def app_state_of(request: Request) -> AppState:
+    # A coroutine, because an ordinary function would need one of the threads that slow requests may occupy.
     app_state: AppState = request.app.state.app_state
     return app_state
 

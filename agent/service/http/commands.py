@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+
 from fastapi import APIRouter, Depends
 
 from agent.files import translated
@@ -26,10 +28,11 @@ with_token = APIRouter(prefix="/api", tags=["asking"], responses=DOCUMENTED, dep
 
 
 @without_token.post("/abort")
-def abort(app_state: AppStateDependency, body: AbortBody | None = None) -> RequestAccepted:
+async def abort(app_state: AppStateDependency, body: AbortBody | None = None) -> RequestAccepted:
     """Stop the machine, withdraw the probe and restore the compensation table that was active before the run. This
     request is always accepted; between runs it has no effect."""
-    app_state.control.abort((body or AbortBody()).reason)
+    # A thread of the loop's own pool, which no other request uses: slow requests may occupy all threads of the server.
+    await asyncio.to_thread(app_state.control.abort, (body or AbortBody()).reason)
     return RequestAccepted()
 
 

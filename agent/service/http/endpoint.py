@@ -12,12 +12,12 @@ from fastapi import FastAPI
 
 from agent.service import address_file
 from agent.service.control import Control
+from agent.service.http.connections import BACKLOG, KEEP_ALIVE_S, LimitedConnection, LimitedServer
 from agent.settings.service import ServiceSettings
 from drivers.errors import ConfigurationError
 
 OPEN_TIMEOUT_S = 10.0
 GRACE_PERIOD_S = 2
-MAX_CONCURRENCY = 64
 
 
 class HttpServer:
@@ -42,12 +42,14 @@ class HttpServer:
             lifespan="off",
             server_header=False,
             proxy_headers=False,
-            limit_concurrency=MAX_CONCURRENCY,
+            http=LimitedConnection,
+            backlog=BACKLOG,
+            timeout_keep_alive=KEEP_ALIVE_S,
             timeout_graceful_shutdown=GRACE_PERIOD_S,
             ssl_certfile=settings.certificate_file,
             ssl_keyfile=settings.key_file,
         )
-        server = self._server = uvicorn.Server(config)
+        server = self._server = LimitedServer(config)
         self._thread = threading.Thread(target=server.run, kwargs={"sockets": [bound]}, name="http", daemon=True)
         self._thread.start()
 
@@ -90,12 +92,14 @@ class HttpEndpoint(HttpServer):
         super().__init__(settings)
         self._directory = directory
         self._make_app = make_app
+        self._remove_address: Callable[[], None] | None = None
 
     def start(self, control: Control) -> None:
         """Bind the socket and start the server. Raise ConfigurationError if the address cannot be bound."""
         self.serve(self._make_app(control))
-        address_file.write_address(self._directory, self.url)
+        self._remove_address = address_file.write_address(self._directory, self.url)
 
     def stop(self) -> None:
-        address_file.remove_address(self._directory)
+        if self._remove_address is not None:
+            self._remove_address()
         self.shut_down()

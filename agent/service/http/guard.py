@@ -1,4 +1,5 @@
-"""Checks of every HTTP request before it is processed. The host name, the origin and the size are checked.
+"""Checks of every HTTP request before it is processed. The host name, the origin, the size and the number of requests
+in progress are checked.
 
 A foreign web page that is open in the browser of the operating panel can send requests to loopback. Such a page does
 not have the access token of the service, so it cannot send commands. A foreign `Host` header indicates DNS rebinding,
@@ -22,7 +23,14 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from agent.service.http.problems import Problem, RequestRefused, answer
 
 MAX_BODY_BYTES = 64 * 1024
+MAX_REQUESTS = 64
+"""Number of requests, streams of events included, that are processed at the same time. An abort is not counted: it is
+processed whatever other clients do."""
+ABORT_PATH = "/api/abort"
 LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "[::1]", "::1"})
+
+MAX_DIGITS = 18
+"""Longest number in a header. Python refuses to convert a text of some thousand digits."""
 
 SECURITY_HEADERS = (
     (b"x-content-type-options", b"nosniff"),
@@ -32,6 +40,10 @@ SECURITY_HEADERS = (
 )
 
 
+def _problem(status: HTTPStatus, detail: str, hint: str) -> Problem:
+    return Problem(title=status.phrase, status=status, detail=detail, hint=hint)
+
+
 class Guard:
     """ASGI middleware that checks the host name, the origin and the size of every request. `names` are the host names,
     without port, by which a browser may reach the service."""
@@ -39,6 +51,7 @@ class Guard:
     def __init__(self, app: ASGIApp, names: Collection[str]) -> None:
         self._app = app
         self._names = {name.lower() for name in names} | LOOPBACK_NAMES
+        self._in_progress = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -48,6 +61,18 @@ class Guard:
         if problem is not None:
             await answer(problem)(scope, receive, send)
             return
+        if scope["path"] == ABORT_PATH:
+            await self._process(scope, receive, send)
+        elif self._in_progress >= MAX_REQUESTS:
+            await answer(_TOO_MANY)(scope, receive, send)
+        else:
+            self._in_progress += 1
+            try:
+                await self._process(scope, receive, send)
+            finally:
+                self._in_progress -= 1
+
+    async def _process(self, scope: Scope, receive: Receive, send: Send) -> None:
         await self._app(scope, _limit_body(receive), _with_headers(send))
 
     def _objection(self, headers: Headers) -> Problem | None:
@@ -59,16 +84,21 @@ class Guard:
                 "add it to `service.host_names`",
             )
         origin = headers.get("origin")
-        if origin is not None and urlsplit(origin).netloc.lower() != host.lower():
+        if origin is not None and _network_location(origin) != host.lower():
             return _problem(HTTPStatus.FORBIDDEN, f"requests from pages of {origin} are not accepted", "")
         length = headers.get("content-length", "0")
-        if not length.isdigit() or int(length) > MAX_BODY_BYTES:
+        if not (length.isascii() and length.isdigit()) or len(length) > MAX_DIGITS or int(length) > MAX_BODY_BYTES:
             return _problem(
                 HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"the request is longer than {MAX_BODY_BYTES} bytes", ""
             )
         return None
 
 
+_TOO_MANY = _problem(
+    HTTPStatus.SERVICE_UNAVAILABLE,
+    f"the service already processes {MAX_REQUESTS} requests",
+    "close other pages and programs that use the service; an abort is accepted all the same",
+)
 _BEARER = HTTPBearer(auto_error=False, description="Content of the file `service.token_file`.")
 
 
@@ -124,8 +154,12 @@ def _with_headers(send: Send) -> Send:
     return sending
 
 
-def _problem(status: HTTPStatus, detail: str, hint: str) -> Problem:
-    return Problem(title=status.phrase, status=status, detail=detail, hint=hint)
+def _network_location(address: str) -> str:
+    """Return host name and port of `address`, or an empty text if it is no address."""
+    try:
+        return urlsplit(address).netloc.lower()
+    except ValueError:
+        return ""
 
 
 def _host_name(address: str) -> str:

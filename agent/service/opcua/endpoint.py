@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import structlog
 
+from agent.service.accept_errors import AcceptErrors
 from agent.service.control import Control
 from agent.settings.opcua import OpcUaSettings
 from drivers.errors import ConfigurationError
@@ -38,6 +39,11 @@ class OpcUaEndpoint:
     @property
     def name(self) -> str:
         return "OPC UA"
+
+    @property
+    def alive(self) -> bool:
+        """True as long as the thread of the server lives."""
+        return self._thread is not None and self._thread.is_alive()
 
     @property
     def address(self) -> tuple[str, int]:
@@ -88,6 +94,7 @@ class OpcUaEndpoint:
             ) from error
         self.trusted_clients.mkdir(parents=True, exist_ok=True)
         self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
+        AcceptErrors("OPC UA").install()
         files = module.ServerFiles(self._directory, self.trusted_clients, self._token)
         server: OpcUaServer = module.OpcUaServer(self._settings, files, control)
         await server.serve(self._stop, lambda: opened.set_result(None))

@@ -9,13 +9,14 @@ session can use it.
 from __future__ import annotations
 
 import hmac
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import structlog
 from asyncua import ua
 from asyncua.crypto.permission_rules import User, UserRole
+from asyncua.server.binary_server_asyncio import OPCUAProtocol
 from asyncua.server.internal_server import InternalServer
 from asyncua.server.internal_session import InternalSession
 from asyncua.server.user_managers import UserManager
@@ -24,6 +25,11 @@ from asyncua.ua.status_codes import StatusCodes
 from agent.service.opcua.certificates import is_trusted
 
 MAX_CONNECTIONS: Final = 20
+"""If more clients are connected, those that have waited for longest without a session make room."""
+MOST_CONNECTIONS: Final = 200
+"""Number of connections above which asyncua refuses a new one. It is reached only by a client that opens this number
+between two calls of `make_room`."""
+ACTIVATE_WITHIN_S: Final = 10.0
 OPERATOR: Final = "operator"
 ANONYMOUS: Final = "anonymous"
 log = structlog.get_logger()
@@ -32,6 +38,27 @@ log = structlog.get_logger()
 def refusal_result(code: int) -> ua.CallMethodResult:
     """Return the call result with the status `code` for a method that was refused."""
     return ua.CallMethodResult(StatusCode=ua.StatusCode(ua.UInt32(code)))
+
+
+def make_room(clients: Sequence[OPCUAProtocol]) -> None:
+    """End the oldest connections without an active session if more than MAX_CONNECTIONS clients are connected.
+    `clients` are in the order in which they connected.
+
+    A connection needs neither a certificate nor the token, so that idle ones could otherwise keep trusted clients out.
+    """
+    excess = len(clients) - MAX_CONNECTIONS
+    ended = [client for client in clients if not _is_active(client)][: max(excess, 0)]
+    for client in ended:
+        if client.transport is not None:
+            client.transport.abort()
+    if ended:
+        peers = sorted({str(client.peer_name[0]) for client in ended})
+        log.warning("OPC UA connections ended", count=len(ended), peers=peers, reason="too many without a session")
+
+
+def _is_active(client: OPCUAProtocol) -> bool:
+    session = None if client.processor is None else client.processor.session
+    return session is not None and session.is_activated()
 
 
 class ClientAuthentication(UserManager):
@@ -97,7 +124,8 @@ class GuardedServer(InternalServer):
     def __init__(self, users: ClientAuthentication) -> None:
         super().__init__(user_manager=users)
         self.free_methods: Mapping[ua.NodeId, bool] = {}
-        self.max_connections = MAX_CONNECTIONS
+        self.max_connections = MOST_CONNECTIONS
+        self.max_pending_activation_seconds = ACTIVATE_WITHIN_S
 
     def create_session(self, name: str, user: User | None = None, external: bool = False) -> InternalSession:
         kind = GuardedSession if external else InternalSession

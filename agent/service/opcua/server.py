@@ -17,7 +17,7 @@ from asyncua.server.server import Server
 from agent.service.control import Control, Event
 from agent.service.opcua.address_space import AddressSpace
 from agent.service.opcua.certificates import own_certificate
-from agent.service.opcua.guard import ClientAuthentication, GuardedServer
+from agent.service.opcua.guard import ClientAuthentication, GuardedServer, make_room
 from agent.settings.opcua import OpcUaSettings
 from drivers.errors import ConfigurationError
 
@@ -55,7 +55,7 @@ class OpcUaServer:
         try:
             opened()
             with self._control.subscribe() as events:
-                await self._feed(space, events, stop)
+                await self._feed(server, space, events, stop)
         finally:
             await server.stop()
 
@@ -99,13 +99,15 @@ class OpcUaServer:
         tokens: list[type] = [ua.UserNameIdentityToken]
         server.set_identity_tokens([*tokens, ua.AnonymousIdentityToken] if self._settings.anonymous_reading else tokens)
 
-    async def _feed(self, space: AddressSpace, events: Queue[Event], stop: asyncio.Event) -> None:
+    async def _feed(self, server: Server, space: AddressSpace, events: Queue[Event], stop: asyncio.Event) -> None:
         known: tuple[str, tuple[int, ...]] = ("", ())
         while not stop.is_set():
             for event in await asyncio.to_thread(_waiting_events, events):
                 if event.kind == "outcome":
                     await space.show_outcome(event)
             known = await self._refresh(space, known)
+            if server.bserver is not None:
+                make_room(server.bserver.clients)
 
     async def _refresh(self, space: AddressSpace, known: tuple[str, tuple[int, ...]]) -> tuple[str, tuple[int, ...]]:
         """Update the nodes, then send events about changes. A client that receives an event can therefore read the new

@@ -15,6 +15,7 @@ from agent.execution.states import RunState
 from agent.model_files import load_machine
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
+from agent.printable import one_line
 from agent.runs.kinds.restoration import TABLE_ROLES, Restoration, stored_table
 from agent.runs.planned_run import Kind
 from agent.runs.reconcile_result import Reconciliation
@@ -38,6 +39,9 @@ from drivers.errors import PermissionMissing, StoreError, UserError, VolcalError
 
 log = structlog.get_logger()
 
+MAX_REASON = 200
+"""Longest reason of an abort in characters. Anybody may abort, so the reason may be any text."""
+
 
 class Owner:
     """Owner of the machine, which implements `Control`, the interface that all endpoints use."""
@@ -55,7 +59,15 @@ class Owner:
         self._board.show_idle(self._idle_status())
         left = parts.journal_state.unacknowledged_end()
         if left is not None:
-            self._board.show_unacknowledged_end(left.state, left.run_id, left.kind, left.alarm)
+            self._board.show_unacknowledged_end(
+                left.state,
+                left.run_id,
+                left.kind,
+                left.alarm,
+                started=left.started,
+                balls=left.balls,
+                touches=left.touches,
+            )
 
     # ------------------------------------------------------------------ Control
 
@@ -137,7 +149,8 @@ class Owner:
         self._on_running(RunMailbox.resume, "resume requested")
 
     def abort(self, reason: str) -> None:
-        self._on_running(lambda running: running.abort(reason), f"abort requested: {reason}")
+        said = one_line(reason, MAX_REASON)
+        self._on_running(lambda running: running.abort(said), f"abort requested: {said}")
 
     def reset(self) -> None:
         with self._changed:
@@ -152,6 +165,11 @@ class Owner:
         self._questions.answer(number, yes)
 
     # ------------------------------------------------------------------ for the service itself
+
+    @property
+    def busy(self) -> bool:
+        """True from the request for a run until its end."""
+        return self._running is not None
 
     def reload(self, settings: Settings) -> None:
         """Use `settings` for the next runs.
@@ -237,9 +255,12 @@ class Owner:
         if status.state not in allowed_requests.STICKY:
             return
         cause = status.alarms[0].text if status.alarms else status.doing
+        further = "start again"
+        if status.unfinished is not None:
+            further = f"resume run {status.unfinished} (`volcal resume`), or start a new one"
         raise PermissionMissing(
             f"run {status.run_id} ended {status.state.value} ({cause})",
-            hint="remove the cause, reset (`volcal reset`), then start again",
+            hint=f"remove the cause, reset (`volcal reset`), then {further}",
         )
 
     def _not_started(self, request: RunRequest, error: BaseException) -> None:

@@ -3,7 +3,6 @@ delay a run."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from typing import Any
 from agent.errors import JournalFailed
 from agent.execution.journal_reader import ANY_RUN, JournalReader, has_journal, open_journal
 from agent.execution.journal_rows import RunCounts, RunRow, TableRow
+from agent.execution.stored_json import stored_json
 from drivers.errors import InputError
 
 Document = dict[str, Any]
@@ -48,21 +48,21 @@ class Archive:
         with self._reading() as reader:
             run = _run(reader, run_id).run
             (counts,) = reader.run_counts(1, run + 1)
-            settings = json.loads(reader.settings_text(run))
+            settings = stored_json(reader.settings_text(run))
             decisions = reader.decisions(run)
             asked = reader.events(run, ("asked",), limit=1)
-        return {
-            **self._summary(counts),
-            "position_set": settings["procedure"]["position_set"],
-            "asked": asked[0].record if asked else None,
-            "gates": [one.record for one in decisions if one.kind == "gate"],
-            "decisions": [
-                {"at": one.at, "kind": one.kind, "record": one.record}
-                for one in decisions
-                if one.kind not in ("gate", "accepted")
-            ],
-            "accepted": any(one.kind == "accepted" for one in decisions),
-        }
+            return {
+                **self._summary(counts),
+                "position_set": settings["procedure"]["position_set"],
+                "asked": asked[0].record if asked else None,
+                "gates": [one.record for one in decisions if one.kind == "gate"],
+                "decisions": [
+                    {"at": one.at, "kind": one.kind, "record": one.record}
+                    for one in decisions
+                    if one.kind not in ("gate", "accepted")
+                ],
+                "accepted": any(one.kind == "accepted" for one in decisions),
+            }
 
     def balls(self, run_id: str) -> list[Document]:
         """Return the records of the measured balls of a run, in the order of measurement."""
@@ -74,14 +74,14 @@ class Archive:
         the first step of the run."""
         with self._reading() as reader:
             rows = reader.temperatures(_run(reader, run_id).run)
-        return [{"minutes": row.minutes, "celsius": row.record} for row in rows]
+            return [{"minutes": row.minutes, "celsius": row.record} for row in rows]
 
     def events(self, run_id: str, limit: int, after: int = 0) -> list[Document]:
         """Return at most `limit` events of a run, in the order in which they were written. `after` is the number of the
         last event that the caller already has."""
         with self._reading() as reader:
             rows = reader.events(_run(reader, run_id).run, after=after, limit=limit)
-        return [{"number": row.number, "at": row.at, "kind": row.kind, "record": row.record} for row in rows]
+            return [{"number": row.number, "at": row.at, "kind": row.kind, "record": row.record} for row in rows]
 
     def estimate(self, run_id: str) -> Document:
         """Return the content of the estimate file of a run. Raise UnknownRun if the run has no estimate."""
@@ -89,7 +89,7 @@ class Archive:
             text = reader.last_estimate(_run(reader, run_id).run)
         if text is None:
             raise UnknownRun(f"run {run_id} has no estimate", hint="the run ended before the errors were identified")
-        document: Document = json.loads(text)
+        document: Document = stored_json(text)
         return document
 
     def report(self, run_id: str) -> Path:
@@ -151,4 +151,4 @@ def _table(row: TableRow) -> Document:
 
 
 def _listed(text: str | None) -> Any:
-    return None if text is None else json.loads(text)
+    return None if text is None else stored_json(text)

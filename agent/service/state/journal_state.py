@@ -32,12 +32,16 @@ FAULT_CODE = 100
 
 @dataclass(frozen=True)
 class UnacknowledgedEnd:
-    """End of a run that no reset has acknowledged yet."""
+    """End of a run that no reset has acknowledged yet. `started` is the UTC time of its start; `balls` and `touches`
+    are the numbers of its measured balls and of its touches."""
 
     state: RunState
     run_id: str
     kind: str
     alarm: Alarm
+    started: str
+    balls: int
+    touches: int
 
 
 @dataclass(frozen=True)
@@ -56,15 +60,19 @@ class JournalState:
             run = reader.last_run()
             if run is None or _acknowledged(reader, run.run):
                 return None
+            measured = (run.started, reader.count_balls(run.run), reader.count_touches(run.run))
+        left = unfinished_run(self.directory)
+        resumes = f"; `volcal resume` then resumes run {left.run_id}" if left is not None and left.resumable else ""
         state = RunState(run.state)
         if state in STICKY:
-            alarm = Alarm(FAULT_CODE, run.reason or state.value, "remove the cause, then reset")
-            return UnacknowledgedEnd(state, run.run_id, run.kind, alarm)
+            alarm = Alarm(FAULT_CODE, run.reason or state.value, f"remove the cause, then reset{resumes}")
+            return UnacknowledgedEnd(state, run.run_id, run.kind, alarm, *measured)
         if state in FINAL or state is RunState.WRITTEN:
             return None
         text = f"run {run.run_id} was interrupted while {state.value}"
-        hint = "check the machine, since nothing was recorded after that; then reset"
-        return UnacknowledgedEnd(RunState.FAULTED, run.run_id, run.kind, Alarm(INTERRUPTED_CODE, text, hint))
+        hint = f"check the machine, since nothing was recorded after that; then reset{resumes}"
+        alarm = Alarm(INTERRUPTED_CODE, text, hint)
+        return UnacknowledgedEnd(RunState.FAULTED, run.run_id, run.kind, alarm, *measured)
 
     def acknowledge(self, run_id: str | None) -> None:
         """Record in the journal that the end of a run is acknowledged. Raise JournalFailed if the record cannot be

@@ -99,10 +99,12 @@ class StatusBoard:
     def show_idle(self, idle: IdleStatus) -> None:
         self._change(**vars(idle))
 
-    def show_unacknowledged_end(self, state: RunState, run_id: str, kind: str, alarm: Alarm) -> None:
+    def show_unacknowledged_end(
+        self, state: RunState, run_id: str, kind: str, alarm: Alarm, *, started: str, balls: int, touches: int
+    ) -> None:
         """Show the final state of a run that ended before the service was last started and that no reset has
         acknowledged."""
-        self._change(run_id=run_id, kind=kind, alarms=(alarm,))
+        self._change(run_id=run_id, kind=kind, alarms=(alarm,), started=started, balls=balls, touches=touches)
         self.enter(state, alarm.text)
 
     def reset(self) -> None:

@@ -21,11 +21,12 @@ from dataclasses import dataclass
 import can
 import structlog
 
-from drivers.clock import wall_seconds
+from drivers.clock import RealClock, wall_seconds
 
 SEND_WITHIN_S = 2.0
 """Time in s after which a client that accepts no bytes is disconnected."""
 LONGEST_COMMAND = 200
+ACCEPT_RETRY_S = 0.05
 
 _log = structlog.get_logger("socketcand")
 
@@ -52,6 +53,7 @@ class SocketcandServerBus(can.BusABC):
         self._clients: dict[socket.socket, _Client] = {}
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._listener, selectors.EVENT_READ)
+        self._accept_failed = False
         self._received: deque[can.Message] = deque()
         self._lock = threading.RLock()
 
@@ -90,7 +92,12 @@ class SocketcandServerBus(can.BusABC):
                     self._read(client)
 
     def _accept(self) -> None:
-        stream, _ = self._listener.accept()
+        try:
+            stream, _ = self._listener.accept()
+        except OSError as error:
+            self._report_failed_accept(error)
+            return
+        self._accept_failed = False
         stream.settimeout(SEND_WITHIN_S)
         stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         client = _Client(stream)
@@ -98,6 +105,14 @@ class SocketcandServerBus(can.BusABC):
             self._clients[stream] = client
             self._selector.register(stream, selectors.EVENT_READ, data=stream)
         self._write(client, "< hi >")
+
+    def _report_failed_accept(self, error: OSError) -> None:
+        """Log the first of several failures, such as a shortage of file handles. The client stays in the queue of the
+        listener, so the next pump tries again after a pause."""
+        if not self._accept_failed:
+            _log.error("no connection can be accepted", bus=self.channel_info, reason=str(error))
+        self._accept_failed = True
+        RealClock().sleep(ACCEPT_RETRY_S)
 
     def _read(self, client: _Client) -> None:
         try:

@@ -138,3 +138,17 @@ class TestWriting:
         monkeypatch.setattr(Path, "replace", record_replace)
         write_atomically(tmp_path / "a.txt", "new")
         assert calls == ["sync file", "replace", "sync directory"]
+
+
+def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "balls.csv"
+    with path.open("wb") as file:
+        file.truncate(10**12)  # it takes no place on the disk
+    with pytest.raises(InputError, match="larger than 64 MB") as caught:
+        read_text(path)
+    assert caught.value.where == {"file": str(path)}
+
+
+def test_a_device_without_an_end_is_not_read() -> None:
+    with pytest.raises(InputError, match="larger than 64 MB"):
+        read_text(Path("/dev/zero"))

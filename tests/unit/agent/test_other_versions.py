@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +15,14 @@ from journaled import SETTINGS, run_id
 from agent.cli.main import main
 from agent.errors import JournalFailed
 from agent.execution.journal import Journal
-from agent.execution.journal_reader import open_journal
+from agent.execution.journal_reader import has_journal, open_journal
 from agent.execution.journal_schema import FILE_NAME, VERSION
 from agent.execution.states import RunState
 from agent.runs.origin import read_origin
 from agent.runs.reference_state import read_reference
+from agent.runs.resume.resume import resumable_origin
+from agent.runs.unfinished_run import unfinished_run
+from agent.service.state.journal_state import JournalState
 from drivers.clock import VirtualClock
 from drivers.errors import ConfigurationError, InputError
 
@@ -108,3 +112,46 @@ def test_a_run_with_settings_that_this_version_does_not_know_is_not_resumed(
         read_origin(reader, 1)
     assert (caught.value.where["run"], caught.value.where["key"]) == ("run-1", key)
     assert "Start a new run" in caught.value.hint
+
+
+def test_a_journal_of_a_newer_version_keeps_its_mode_and_its_log(tmp_path: Path) -> None:
+    """As a newer version may have left it: without a write-ahead log, or with one that is not yet merged."""
+    Journal(tmp_path).close()
+    operate(tmp_path, "PRAGMA journal_mode = DELETE")
+    operate(tmp_path, f"PRAGMA user_version = {VERSION + 1}")
+    before = (tmp_path / FILE_NAME).read_bytes()
+    with pytest.raises(ConfigurationError, match="version"):
+        Journal(tmp_path)
+    assert (tmp_path / FILE_NAME).read_bytes() == before
+
+    killed = tmp_path / "killed"
+    open_one = Journal(killed)
+    operate(killed, f"PRAGMA user_version = {VERSION + 1}")
+    left = tmp_path / "left"
+    shutil.copytree(killed, left)
+    open_one.close()
+    log = left / f"{FILE_NAME}-wal"
+    before = log.read_bytes()
+    assert before
+    with pytest.raises(ConfigurationError, match="version"):
+        Journal(left)
+    assert log.read_bytes() == before
+
+
+def test_an_empty_file_is_no_journal_yet(tmp_path: Path) -> None:
+    """As a full disk or a power cut leaves it."""
+    (tmp_path / FILE_NAME).touch()
+    for _ in range(2):  # the second time with the header of a database, but without tables
+        assert not has_journal(tmp_path)
+        assert unfinished_run(tmp_path) is None
+        assert JournalState(tmp_path).unacknowledged_end() is None
+        with pytest.raises(InputError, match="no run yet"), open_journal(tmp_path):
+            pass
+        with pytest.raises(InputError, match="no run to resume"):
+            resumable_origin(tmp_path)
+        operate(tmp_path, "PRAGMA journal_mode = WAL")
+    assert (tmp_path / FILE_NAME).stat().st_size > 0
+    journal = Journal(tmp_path)
+    journal.start_run(run_id(1), "calibrate", SETTINGS, "0.1.0", VirtualClock())
+    journal.close()
+    assert has_journal(tmp_path)

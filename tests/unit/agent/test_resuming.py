@@ -17,12 +17,14 @@ from agent.execution.rig import step_tag
 from agent.execution.run_state import Announcement, RunStateTracker
 from agent.execution.states import RunState
 from agent.execution.steps import (
+    ActivateBank,
     MoveTo,
     OrientTo,
     ReadPosition,
     ReadTable,
     ReadTemperatures,
     Record,
+    Step,
     TouchTowards,
 )
 from agent.runs.resume.replay_clock import ResumedClock
@@ -261,6 +263,55 @@ def test_a_run_refused_before_it_began_does_not_hide_an_interrupted_one(journal:
     found = unfinished_run(tmp_path)
     assert found is not None
     assert not found.resumable
+
+
+def later_run(journal: Journal, *steps: Step) -> RunJournal:
+    """Begin a second run, which carries out `steps` and then loses a link."""
+    run = journal.start_run("run-2", "calibrate", {}, "0", VirtualClock())
+    run.origin({})
+    run.begun()
+    for step in steps:
+        run.begin(step)
+    run.fault(LinkLost("gone"))
+    run.state(RunState.FAULTED, "gone", final=True)
+    return run
+
+
+def test_a_run_that_measured_nothing_leaves_the_interrupted_one_as_it_is(journal: Journal, tmp_path: Path) -> None:
+    former = begun(journal)
+    former.begin(TouchTowards("touch", (1.0, 0.0, 0.0), 5.0))
+    former.state(RunState.MEASURING)
+    later_run(journal, MoveTo("b", (1.0, 0.0, 0.0)), OrientTo("c", 1, 0.0, 0.0))
+    found = unfinished_run(tmp_path)
+    assert found is not None
+    assert (found.run_id, found.resumable, found.state) == ("run-1", True, RunState.MEASURING)
+
+
+@pytest.mark.parametrize("step", [TouchTowards("touch", (1.0, 0.0, 0.0), 5.0), ActivateBank("activate", 1)])
+def test_a_run_that_measured_or_wrote_closes_the_interrupted_one(journal: Journal, tmp_path: Path, step: Step) -> None:
+    former = begun(journal)
+    former.begin(TouchTowards("touch", (1.0, 0.0, 0.0), 5.0))
+    former.state(RunState.MEASURING)
+    later_run(journal, step)
+    found = unfinished_run(tmp_path)
+    assert found is not None
+    assert found.run_id == "run-2"
+    with open_journal(tmp_path) as reader:
+        row = reader.require_run("run-1")
+    assert row.ended is not None
+    assert (row.state, row.reason) == ("faulted", "interrupted, followed by run run-2")
+
+
+def test_a_run_that_ended_before_it_measured_does_not_outlive_the_end_of_the_former(
+    journal: Journal, tmp_path: Path
+) -> None:
+    former = begun(journal)
+    former.begin(TouchTowards("touch", (1.0, 0.0, 0.0), 5.0))
+    later_run(journal)
+    again, _ = journal.continue_run(former.run, former.run_id, VirtualClock())
+    again.begin(TouchTowards("further", (1.0, 0.0, 0.0), 5.0))
+    again.state(RunState.COMPLETE, final=True)
+    assert unfinished_run(tmp_path) is None
 
 
 def test_a_tag_differs_between_runs_and_steps() -> None:

@@ -8,6 +8,7 @@ import json
 import os
 import signal
 import socket
+import threading
 import zipfile
 from datetime import datetime
 from pathlib import Path
@@ -19,13 +20,16 @@ from hypothesis import strategies as st
 from service_house import PATIENCE_S, READY_MACHINE, house, settings_document
 
 from agent.errors import Aborted, Busy, GateRefused
+from agent.execution.journal import Journal
 from agent.execution.run_state import Announcement
 from agent.execution.states import RunState
+from agent.execution.steps import Record, TouchTowards
 from agent.execution.supervisor import Supervisor
 from agent.runs.kinds.nightly import Night
 from agent.runs.requested_run import job_of, kind_of
 from agent.runs.run_request import RunRequest
 from agent.service.client import error_of
+from agent.service.control import Control
 from agent.service.daemon.main_loop import MainLoop
 from agent.service.daemon.sd_notify import Notifier
 from agent.service.http.diagnostics import REMOVED, diagnostics_zip, without_secrets
@@ -42,7 +46,7 @@ from agent.settings.schema import Settings
 from agent.settings.service import ServiceSettings
 from drivers.clock import VirtualClock
 from drivers.errors import ConfigurationError, LinkLost, PermissionMissing, UserError, VolcalError
-from drivers.roles import MachineStatus, MotionState, OperatorRequest, OperatorTask, Permission
+from drivers.roles import MachineStatus, MotionState, OperatorRequest, OperatorTask, Permission, Touch
 
 NIGHTLY = RunRequest(kind="calibrate", source="timer")
 
@@ -281,9 +285,117 @@ def test_a_service_whose_engine_hangs_is_no_longer_fed(
     assert bool(fed) is (silent_s < 30.0)
     assert told.messages[0]["READY"] == 1
     assert any("RELOADING" in message for message in told.messages)
-    assert any("not reloaded" in str(message.get("STATUS")) for message in told.messages)
+    assert any("reloaded after the run" in str(message.get("STATUS")) for message in told.messages)
     assert any(str(message.get("STATUS")).startswith("the engine hangs") for message in told.messages) is not bool(fed)
     assert told.messages[-1]["STOPPING"] == 1
+
+
+def test_after_a_power_cut_the_status_has_what_the_journal_holds_and_names_the_way_on(tmp_path: Path) -> None:
+    journal = Journal(tmp_path)
+    run = journal.start_run("run-1", "calibrate", {}, "0", VirtualClock())
+    run.origin({})
+    run.begun()
+    touch = TouchTowards("touch", (1.0, 0.0, 0.0), 5.0)
+    run.begin(touch)
+    run.finish(touch, Touch((1.0, 0.0, 0.0)), begun=True)
+    for ball in range(27):
+        run.finish(Record(f"ball-{ball}", "ball", {"centre_mm": [0.0, 0.0, 0.0]}), None, begun=False)
+    run.state(RunState.MEASURING)
+    journal.close()
+    with house(tmp_path) as built:
+        left = built.owner.status()
+        assert (left.state, left.run_id, left.balls, left.touches) == (RunState.FAULTED, "run-1", 27, 1)
+        assert left.started is not None
+        assert "`volcal resume` then resumes run run-1" in left.alarms[0].hint
+        with pytest.raises(PermissionMissing) as refused:
+            built.owner.start(NIGHTLY)
+        assert "reset (`volcal reset`), then resume run run-1 (`volcal resume`)" in refused.value.hint
+        built.owner.reset()
+        assert (built.owner.status().balls, built.owner.status().started) == (0, None)
+
+
+class EndingEndpoint:
+    """Endpoint that ends by itself when it is looked at for the second time."""
+
+    name = "panel gateway"
+    looks = 0
+
+    def start(self, control: Control) -> None:
+        raise AssertionError("the test opens no endpoint")
+
+    def stop(self) -> None:
+        raise AssertionError("the test closes no endpoint")
+
+    @property
+    def alive(self) -> bool:
+        self.looks += 1
+        return self.looks < 2
+
+
+def test_an_endpoint_that_has_ended_stops_the_run_and_the_service(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told, closed = Told(), SimpleQueue[float]()
+
+    def close(within_s: float) -> bool:
+        closed.put(within_s)
+        return True
+
+    health = Health(VirtualClock().now, hang_timeout_s=30.0, computing_s=900.0)
+    with house(tmp_path) as built:
+        monkeypatch.setattr(built.owner, "close", close)
+        loop = MainLoop(built.owner, health, told, SimpleQueue(), tmp_path / "volcal.toml", [EndingEndpoint()])
+        with pytest.raises(LinkLost, match="panel gateway"):
+            loop.run()
+    assert closed.qsize() == 1
+    assert told.messages[-1]["STOPPING"] == 1
+
+
+BAD_SETTINGS = [
+    "state_directory = 1" + "0" * 5000,
+    "machine = " + "[" * 20_000,
+    ".".join(["a"] * 30_000) + " = 1",
+]
+
+
+@pytest.mark.parametrize("text", BAD_SETTINGS)
+def test_no_settings_file_ends_the_service(tmp_path: Path, text: str) -> None:
+    config, told, signals = tmp_path / "volcal.toml", Told(), SimpleQueue[int]()
+    config.write_text(text)
+    signals.put(signal.SIGHUP)
+    signals.put(signal.SIGTERM)
+    with house(tmp_path) as built:
+        before = built.owner.settings
+        MainLoop(built.owner, built.parts.health, told, signals, config).run()
+        assert built.owner.settings is before
+    (said,) = [m["STATUS"] for m in told.messages if str(m.get("STATUS")).startswith("settings not reloaded")]
+    assert "defect" not in str(said)
+
+
+def test_settings_are_read_after_the_run_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told, signals = Told(), SimpleQueue[int]()
+    loaded: list[Path] = []
+    with house(tmp_path) as built:
+
+        def load(config: Path) -> Settings:
+            loaded.append(config)
+            signals.put(signal.SIGTERM)
+            assert not built.owner.busy
+            return built.owner.settings
+
+        monkeypatch.setattr("agent.service.daemon.main_loop.load_settings", load)
+        built.owner.start(NIGHTLY)
+        built.puppet.begun()
+        signals.put(signal.SIGHUP)
+        loop = MainLoop(built.owner, built.parts.health, told, signals, tmp_path / "volcal.toml")
+        thread = threading.Thread(target=loop.run)
+        thread.start()
+        while not any("after the run" in str(message.get("STATUS")) for message in told.messages):
+            thread.join(0.01)
+        assert not loaded
+        built.puppet.end(RunState.COMPLETE)
+        thread.join(PATIENCE_S)
+    assert len(loaded) == 1
 
 
 # ---------------------------------------------------------------------- events

@@ -128,3 +128,17 @@ def test_both_read_the_same_secret() -> None:
 def test_maintainer_scripts_are_shell(script: str) -> None:
     done = subprocess.run(["sh", "-n", UNITS / "deb" / script], check=False, capture_output=True, timeout=600.0)
     assert done.returncode == 0, done.stderr
+
+
+def test_the_installation_says_that_it_compiles_before_it_does(tmp_path: Path) -> None:
+    """Minutes without a word look like a hang."""
+    script = (UNITS / "deb" / "postinst").read_text()
+    head, _, _ = script.partition("\nstart_again()")
+    assert "/usr/lib/volcal/bin/python3 -m compileall" in head
+    (tmp_path / "postinst").write_text(f"{head.replace('/usr/lib/volcal/bin/python3', 'echo RUN')}\ncompile\n")
+    done = subprocess.run(["sh", tmp_path / "postinst"], check=True, capture_output=True, text=True, timeout=600.0)
+    before, ran, after = done.stdout.splitlines()
+    assert "compiling" in before
+    assert "minutes" in before
+    assert ran.startswith("RUN -m compileall")
+    assert after == "volcal: compiled"

@@ -1,0 +1,135 @@
+"""Decoders of files: TOML, CSV, JSON and part programs, with the shipped files as good inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from agent.files import read_text
+from agent.settings.schema import parse_settings
+from campaigns.fuzz.trial import Decoder
+from campaigns.part_programs.comparison import SETUP, TABLE
+from drivers.errors import InputError
+from drivers.roles import TableImage
+from drivers.serial_cnc.tape.blocks import TapeError, parse_tape
+from drivers.tables.text import format_table as format_bank
+from drivers.tables.text import parse_table as parse_bank
+from gcode.correction import correct_program
+from gcode.setup import CorrectionOptions
+from gcode.setup_file import parse_part_setup
+from simulators.scenario import read_scenario
+from twin.compensation.table import Anchor, CompensationTable
+from twin.compensation.table_file import format_side_file, format_table, parse_table
+from twin.formats.artefact_file import parse_artefact
+from twin.formats.ball_file import parse_balls
+from twin.formats.deflection_file import parse_deflection
+from twin.formats.estimate_file import parse_estimate
+from twin.formats.machine_file import parse_machine
+from twin.formats.position_set_file import parse_positions
+from twin.machine.machine_description import MachineDescription
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+CASE = CONFIG / "case-study.toml"
+MACHINE = CONFIG / "machines" / "case-study.toml"
+DEFLECTION = CONFIG / "machines" / "case-study-deflection.csv"
+PROGRAM = b"""%
+N10 G21 G90 G17 G54 F500 S1000 M3
+N20 #1 = [2 * [3 + 4]]
+N25 #2 = #1
+N30 G0 X0 Y0 Z10
+N40 G1 X[#1 / 2] Y-3.5 Z1.25 F300
+N50 G2 X10 Y0 R5
+N60 G81 X20 Y5 Z-3 R2 L2
+N70 o100 while [#2 LT 20]
+N80 #2 = [#2 + 5]
+N90 G1 X#2
+N100 o100 endwhile
+N110 o200 if [#2 GT 5]
+N120 G91 G1 X1
+N130 o200 endif
+N140 G90 G3 X0 Y0 R40
+N150 G43 H1 (comment) ; and another
+N160 G28 X0
+M30
+%
+"""
+PART_SETUP = b"""[work_offsets_mm]
+G54 = [100.0, 200.0, 300.0]
+"""
+PUNCHED = b"%\nN10G0X0Y0Z0\nN20G1X1.5Y-2.5F100\nM30\n%\n"
+
+
+def file_decoders() -> Iterator[Decoder]:
+    machine = _described_machine()
+    yield _text("settings (TOML)", [CASE, CONFIG / "grbl.toml"], lambda text: parse_settings(text, "volcal.toml"))
+    yield _text("machine (TOML)", [MACHINE], lambda text: parse_machine(text, "machine.toml", _beside(MACHINE)))
+    artefacts = sorted((CONFIG / "artefacts").glob("*.toml"))
+    yield _text("artefact (TOML)", artefacts, lambda text: parse_artefact(text, "artefact.toml", lambda _: ""))
+    yield Decoder("part set-up (TOML)", [PART_SETUP], _decoding(lambda text: parse_part_setup(text, "part.toml")))
+    yield Decoder("scenario (TOML)", [(CONFIG / "simulators" / "case-study.toml").read_bytes()], _scenario)
+    positions = [CONFIG / "bridge-positions.csv", CONFIG / "hand-placed-positions.csv"]
+    yield _text("positions (CSV)", positions, lambda text: parse_positions(text, "positions.csv"))
+    balls = [CONFIG / "examples" / "case-study-balls.csv"]
+    yield _text("balls (CSV)", balls, lambda text: parse_balls(text, "balls.csv", machine.tools, travel=machine.limits))
+    yield _text("deflection (CSV)", [DEFLECTION], lambda text: parse_deflection(text, "deflection.csv"))
+    table, side = format_table(_small_table()), format_side_file(_small_table())
+    yield Decoder("table (CSV)", [table.encode()], _decoding(lambda text: parse_table(text, side, "t.csv", "t.json")))
+    yield Decoder("table (JSON)", [side.encode()], _decoding(lambda text: parse_table(table, text, "t.csv", "t.json")))
+    counts = np.arange(24, dtype=np.int32).reshape(2, 2, 2, 3)
+    bank = format_bank(TableImage((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1e-4, counts))
+    yield Decoder("bank of a controller (text)", [bank.encode()], _decoding(parse_bank))
+    yield Decoder("part program", [PROGRAM], _correct)
+    yield Decoder("punched tape", [PUNCHED], _decoding(parse_tape), (TapeError,))
+
+
+def estimate_decoder(text: str) -> Decoder:
+    """Return the decoder of estimate files; `text` is a good one."""
+    return Decoder("estimate (JSON)", [text.encode()], _decoding(lambda given: parse_estimate(given, "estimate.json")))
+
+
+def _text(name: str, paths: list[Path], parse: Callable[[str], object]) -> Decoder:
+    return Decoder(name, [path.read_bytes() for path in paths], _decoding(parse))
+
+
+def _decoding(parse: Callable[[str], object]) -> Callable[[bytes], object]:
+    """Return a decoder of bytes that reads them from a file as the commands do."""
+
+    def decode(data: bytes) -> object:
+        with TemporaryDirectory(prefix="volcal-fuzz-") as folder:
+            path = Path(folder) / "file"
+            path.write_bytes(data)
+            return parse(read_text(path))
+
+    return decode
+
+
+def _scenario(data: bytes) -> object:
+    with TemporaryDirectory(prefix="volcal-fuzz-") as folder:
+        path = Path(folder) / "simulators" / "scenario.toml"
+        path.parent.mkdir()
+        for name in ("machines", "artefacts"):
+            (Path(folder) / name).symlink_to(CONFIG / name)
+        path.write_bytes(data)
+        return read_scenario(path)
+
+
+def _correct(data: bytes) -> object:
+    lines = data.decode(errors="surrogateescape").splitlines(keepends=True)
+    return correct_program(lines, TABLE, SETUP, CorrectionOptions(0.01), lambda _: None)
+
+
+def _described_machine() -> MachineDescription:
+    return parse_machine(MACHINE.read_text(), str(MACHINE), _beside(MACHINE))
+
+
+def _beside(path: Path) -> Callable[[str], str]:
+    return lambda name: read_text(path.parent / name, error=InputError)
+
+
+def _small_table() -> CompensationTable:
+    nodes = (np.array([0.0, 1000.0]), np.array([0.0, 500.0]), np.array([0.0, 300.0]))
+    corrections = np.linspace(-0.01, 0.01, 24).reshape(2, 2, 2, 3)
+    return CompensationTable(*nodes, corrections, np.zeros(3), Anchor(np.zeros(3)), np.zeros((2, 2, 2), dtype=bool))

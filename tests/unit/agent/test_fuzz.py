@@ -1,0 +1,82 @@
+"""The small form of `python -m campaigns.fuzz`: few mutations with a fixed seed for every decoder."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from random import Random
+
+import pytest
+from journaled import journaled
+from structlog.testing import capture_logs
+
+from agent.execution.journal_schema import FILE_NAME
+from campaigns.fuzz.file_decoders import file_decoders
+from campaigns.fuzz.journal_decoder import read_everything
+from campaigns.fuzz.mutation import mutated
+from campaigns.fuzz.trial import Decoder, tried
+from campaigns.fuzz.wire_decoders import wire_decoders
+
+COUNT, SEED = 60, 1
+
+
+@pytest.fixture(autouse=True)
+def silent() -> Iterator[None]:
+    logging.disable(logging.CRITICAL)
+    with capture_logs():
+        yield
+    logging.disable(logging.NOTSET)
+
+
+@pytest.mark.parametrize("decoder", [*file_decoders(), *wire_decoders()], ids=lambda decoder: decoder.name)
+def test_no_input_raises_anything_outside_the_error_tree(decoder: Decoder) -> None:
+    found = tried(decoder, COUNT, SEED)
+    assert not found.failures
+    assert found.read + found.refused == COUNT
+
+
+def test_a_damaged_journal_is_refused_in_words(tmp_path: Path) -> None:
+    journaled(tmp_path, 1)
+    with closing(sqlite3.connect(tmp_path / FILE_NAME)) as connection:
+        connection.execute("PRAGMA journal_mode = DELETE")
+    good = (tmp_path / FILE_NAME).read_bytes()
+    # This journal has no origin and no steps of its run, for which some readers refuse even the good one.
+    decoder = Decoder("journal", [good], lambda data: None if data == good else read_everything(data))
+    found = tried(decoder, COUNT, SEED)
+    assert not found.failures
+    assert found.refused > 0
+
+
+def test_what_is_wrong_is_found() -> None:
+    """The harness itself: an error outside the tree, and an input that takes too long."""
+
+    def wrong(refusals: tuple[type[Exception], ...] = ()) -> Decoder:
+        calls = iter((None,))  # the seed itself, at the first call, is good
+
+        def decode(_: bytes) -> None:
+            if next(calls, KeyError) is KeyError:
+                raise KeyError("x")
+
+        return Decoder("wrong", [b"seed"], decode, refusals)
+
+    assert len(tried(wrong(), 5, SEED).failures) == 5
+    assert tried(wrong((KeyError,)), 5, SEED).refused == 5
+
+
+def test_a_hang_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("campaigns.fuzz.trial.BOUND_S", 0.05)
+    found = tried(Decoder("slow", [b"seed"], lambda data: None if data == b"seed" else signal.pause()), 1, SEED)
+    assert "Hang: longer than 0.05 s" in found.failures[0]
+
+
+def test_mutations_are_the_same_for_a_seed_and_differ_otherwise() -> None:
+    first, again = (
+        [mutated(Random(seed), b"1,2,3\n" * 20) for seed in range(50)]  # noqa: S311  no secret
+        for _ in range(2)
+    )
+    assert first == again
+    assert len(set(first)) > 40

@@ -1,0 +1,77 @@
+"""What anybody may send is shown, never obeyed: by terminals, logs and panels."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+from service_house import house
+from test_service import NIGHTLY
+from volcal_command import volcal
+
+from agent.cli.errors import fail
+from agent.cli.printing import facts_table, results_console
+from agent.cli.run_commands.progress import watching
+from agent.execution.run_state import Announcement
+from agent.execution.states import RunState
+from agent.printable import one_line, printable
+from agent.service.client import _parse_events
+from agent.service.owner.owner import MAX_REASON
+from drivers.errors import InputError
+
+EVIL = "stop\x1b]0;title\x07\x1b[2J\u202egnp.exe\r\nerror: all is well"
+
+
+def test_control_characters_are_replaced() -> None:
+    assert printable("Grüße, 3 µm\n") == "Grüße, 3 µm\n"
+    assert not {"\x1b", "\x07", "\u202e", "\r"} & set(printable(EVIL))
+    assert one_line(EVIL, 200).count("\n") == 0
+    assert len(one_line("x" * 100_000, 200)) == 200
+
+
+def test_the_reason_of_an_abort_is_one_short_line(tmp_path: Path) -> None:
+    with house(tmp_path) as built, built.event_log.subscribe() as events:
+        built.owner.start(NIGHTLY)
+        built.puppet.begun()
+        built.owner.abort(EVIL + "x" * 100_000)
+        said = built.puppet.abort_wanted
+        built.puppet.end(RunState.ABORTED)
+        built.owner.wait(600.0)
+        told = [event.text for event in (events.get_nowait() for _ in range(events.qsize()))]
+    assert said is not None
+    assert said.isprintable()
+    assert len(said.removeprefix("aborted: ")) <= MAX_REASON
+    assert all(text.isprintable() for text in told)
+    assert any("abort requested" in text for text in told)
+
+
+def test_commands_print_what_the_service_says_without_obeying_it(capsys: pytest.CaptureFixture[str]) -> None:
+    ((kind, document),) = _parse_events(iter(["event: note", 'data: {"text": "\\u001b[2J", "data": {}}', ""]))
+    assert (kind, document["text"]) == ("note", "\N{REPLACEMENT CHARACTER}[2J")
+    results_console().print(facts_table([("doing", "[/red] [bold]x[/bold]")]))
+    assert "[/red] [bold]x[/bold]" in capsys.readouterr().out
+
+
+def test_the_progress_of_a_run_is_never_read_as_markup(capsys: pytest.CaptureFixture[str]) -> None:
+    with watching(Console(width=200)) as listener:
+        listener(Announcement("state", "the file [/x] is wrong \x1b[2J", {"state": "faulted"}))
+        listener(Announcement("note", "no report: [/x]", {}))
+        listener(Announcement("progress", "[/x]", {"fraction": 0.5, "minutes_left": 1.0}))
+    said = capsys.readouterr().out
+    assert "the file [/x] is wrong" in said
+    assert "no report: [/x]" in said
+    assert "\x1b" not in said
+
+
+def test_errors_are_printed_without_obeying_them(capsys: pytest.CaptureFixture[str]) -> None:
+    fail(InputError(f"'{EVIL}' is not a number"))
+    assert "\x1b" not in capsys.readouterr().err
+
+
+def test_an_abort_that_could_not_be_sent_says_so(tmp_path: Path) -> None:
+    """The settings name the state directory, in which the address of the service is."""
+    (tmp_path / "volcal.toml").write_text("state_directory = [")
+    refused = volcal("abort", "--config", tmp_path / "volcal.toml", exit_code=2).stderr
+    assert "the abort was NOT sent" in refused
+    assert "emergency stop" in refused

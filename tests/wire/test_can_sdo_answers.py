@@ -1,0 +1,86 @@
+"""Answers of a CANopen node that no protocol allows. They come from a peer that knows nothing of the driver."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import can
+import pytest
+from canopen import ObjectDictionary
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.canopen_mount.node import DriveNode
+from drivers.canopen_mount.objects import STATUSWORD
+from drivers.errors import LinkError, ProtocolError, VolcalError
+from drivers.links.can_adapters import CanAddress
+from drivers.links.can_bus import CanNetworks
+
+NODE = 5
+STATUS_ANSWER = bytes.fromhex("4b 41 60 00 37 06 00 00")
+_channels = itertools.count()
+
+
+class Peer:
+    """Node that answers every SDO request with the next of `answers`; afterwards it is silent."""
+
+    def __init__(self, bus: can.BusABC) -> None:
+        self.answers: list[bytes] = []
+        self._bus = bus
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    def _serve(self) -> None:
+        while not self._stopped.is_set():
+            request = self._bus.recv(0.02)
+            if request is not None and request.arbitration_id == 0x600 + NODE and self.answers:
+                data = self.answers.pop(0)
+                self._bus.send(can.Message(arbitration_id=0x580 + NODE, data=data, is_extended_id=False))
+
+    def stop(self) -> None:
+        self._stopped.set()
+        self._thread.join()
+
+
+@contextmanager
+def connected() -> Iterator[tuple[DriveNode, Peer]]:
+    channel = f"sdo-answers-{next(_channels)}"
+    with can.Bus(interface="virtual", channel=channel) as bus:
+        peer = Peer(bus)
+        link = CanNetworks().acquire(CanAddress("virtual", channel))
+        try:
+            yield DriveNode(link, NODE, "azimuth", ObjectDictionary(), sdo_timeout_s=0.05), peer
+        finally:
+            link.close()
+            peer.stop()
+
+
+@pytest.mark.parametrize("length", range(1, 8))
+@pytest.mark.parametrize("answer", [STATUS_ANSWER, bytes.fromhex("80 41 60 00 00 00 02 06")])
+def test_a_short_answer_is_an_error_of_the_protocol(answer: bytes, length: int) -> None:
+    with connected() as (node, peer):
+        peer.answers = [answer[:length]]
+        try:
+            assert node.read(STATUSWORD) == 0x0637
+            assert length >= 6
+        except ProtocolError as error:
+            assert error.where["node"] == "5"
+            assert length < 8
+        peer.answers = [STATUS_ANSWER]
+        assert node.read(STATUSWORD) == 0x0637
+
+
+@settings(max_examples=60, deadline=None)
+@given(answers=st.lists(st.binary(min_size=0, max_size=8), min_size=1, max_size=4))
+def test_no_answer_raises_anything_but_our_errors(answers: Sequence[bytes]) -> None:
+    with connected() as (node, peer):
+        for ask in (lambda: node.read(STATUSWORD), lambda: node.write(STATUSWORD, 1), lambda: node.read_text(0x1008)):
+            peer.answers = list(answers)
+            try:
+                ask()
+            except VolcalError as error:
+                assert isinstance(error, LinkError) or error.where
