@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 TUTORIAL = ROOT / "docs" / "tutorials" / "first-calibration.md"
 YOUR_MACHINE = ROOT / "docs" / "how-to" / "your-machine.md"
 BLOCK = "<!-- made by `make figures`: {name} -->\n```\n{text}\n```\n<!-- end of {name} -->"
-WALL_TIME = re.compile(r",\s+[\d.]+ s\)")
+WALL_TIME = re.compile(r",\s+[\d.]+\s+s(?=[,)])")
 RELATIVE, ABSOLUTE = 0.05, 0.021
 """Largest difference between a figure in a page and that of a run on any computer and with any version of numpy."""
 
@@ -39,7 +39,7 @@ def volcal(directory: Path, *arguments: str) -> str:
 def demo(directory: Path) -> str:
     """Return the preflight line and both tables of the demonstration."""
     text = volcal(directory, "demo", "--out", str(directory / "out"))
-    preflight = WALL_TIME.sub(")", " ".join(_after(text, "preflight passed").split("\nmeasuring")[0].split()))
+    preflight = WALL_TIME.sub("", " ".join(_after(text, "preflight passed").split("\nmeasuring")[0].split()))
     truth, run = _rows(_after(text, "true volumetric error").split("report:")[0], "position set")
     return "\n".join((preflight, "", *truth, "", *run))
 
