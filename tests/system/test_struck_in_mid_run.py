@@ -16,7 +16,7 @@ from drivers.clock import LockstepClock
 from drivers.registry import DeviceContext, create_device
 from drivers.roles import CompensationStore, TableImage
 
-STRUCK_AT_MIN, STRUCK_URAD = 12.0, 30.0
+STRUCK_AT_MIN, STRUCK_URAD = 11.7, 30.0  # between two positions: within one, the drift of its first ball ends the run
 FORMER_BANK = 1
 FORMER_TABLE = TableImage((0.0, 0.0, 0.0), (2000.0, 650.0, 750.0), 1e-4, np.full((3, 3, 3, 3), 7, dtype=np.int32))
 
