@@ -50,7 +50,8 @@ _LARGEST = 1e6  # size in µm or µrad above which a step counts as not found
 _LARGEST_EVIDENCE = 50.0
 _SIZE_TOLERANCE = 1e-6  # µm or µrad
 _ENOUGH = 30.0  # noncentrality with which a step is found by most sets of positions
-_LEAST_GAIN = 0.01  # gain in noncentrality below which a position is not worth its time
+_BEYOND = 0.01  # share of further noncentrality that still counts, because some steps need more
+_LEAST_GAIN = 1e-6  # gain in noncentrality below which a position shows nothing of the steps
 
 
 @dataclass(frozen=True)
@@ -178,7 +179,8 @@ def rank_by_power(
 
     The next position is always the one that most increases, per minute, the sum of min(λ, λ₁) over the errors. λ is the
     noncentrality of the step with all positions until then, and λ₁ = 30 is about what a step needs to be found, so
-    errors that are found already contribute nothing more. The list ends with the last position that contributes.
+    errors that are found already contribute little more: 1 % of what λ still gains. Positions that show nothing of the
+    steps are left out.
 
     `factors` (N, r, P) are the information factors of the positions, `covariance` (P, P) is that of the P `unknowns`,
     `steps` gives the size of each step in µm or µrad by the name of the error, and `minutes` (N,) is the time of each
@@ -196,9 +198,10 @@ def rank_by_power(
         noise = np.eye(factors.shape[1]) + factors @ after @ factors.transpose(0, 2, 1)
         seen = factors @ moved_then.T
         gain = np.einsum("nre,nre->ne", seen, np.linalg.solve(noise, seen))
-        value = np.minimum(obtained + gain, _ENOUGH).sum(axis=1) - np.minimum(obtained, _ENOUGH).sum()
+        needed = np.minimum(obtained + gain, _ENOUGH).sum(axis=1) - np.minimum(obtained, _ENOUGH).sum()
+        value = needed + _BEYOND * gain.sum(axis=1)
         best = int(np.argmax(np.where(left, value / minutes, -np.inf)))
-        if value[best] <= _LEAST_GAIN:
+        if gain[best].sum() <= _LEAST_GAIN:
             break
         order.append(best)
         left[best] = False

@@ -128,6 +128,15 @@ def test_positions_are_ranked_by_what_they_add_per_minute() -> None:
     assert rank_by_power(unknowns, factors, covariance, steps, np.array([1.0, 9.0, 1.0, 1.0])) == [0, 2, 1]
 
 
+def test_a_step_that_needs_more_than_others_gets_more_positions() -> None:
+    """The ranking goes on when every step has the noncentrality that most steps need."""
+    unknowns = power().unknowns
+    covariance = 1e-6 * np.eye(unknowns.blocks.size)
+    factors = np.zeros((3, 1, unknowns.blocks.size))
+    factors[:, 0, int(coefficients_of(unknowns, "A0Z")[0])] = 8.0 / (10.0 * smoothest_step(unknowns, "A0Z")[0])
+    assert sorted(rank_by_power(unknowns, factors, covariance, {"A0Z": 10.0}, np.ones(3))) == [0, 1, 2]
+
+
 def test_an_error_that_nothing_shows_is_not_found() -> None:
     unknowns = power().unknowns
     blind = StepPower(unknowns, np.zeros((unknowns.blocks.size,) * 2))
