@@ -23,6 +23,7 @@ if will_run():
     from rich.table import Table
 
     from agent.cli.printing import columns_table, facts_table, gates_table, results_console
+    from agent.cli.run_commands.verification_table import power_notes, power_table, power_text
     from agent.cli.step_lists import write_branch_steps
     from agent.errors import PlanRefused
     from agent.files import check_folder
@@ -38,6 +39,8 @@ if will_run():
     from agent.results.homing_scatter import after_homing_text
     from agent.results.predicted_accuracy import PredictedAccuracy, predict_accuracy
     from agent.runs.kinds.calibrate import calibration_of, preflight_of
+    from agent.runs.kinds.night_plan import station_of
+    from agent.runs.kinds.verification_power import VerificationPower, verification_power
     from agent.runs.last_homing import after_homing
     from agent.runs.last_latencies import with_learned_latencies
     from agent.settings.load import load_settings, naming, with_overrides
@@ -57,6 +60,13 @@ if will_run():
     metavar="[DIR]",
     help="Draw the plan into DIR [preview]: plan.png and the interactive plan.html; also for a refused plan.",
 )
+@click.option(
+    "--verification",
+    "verified_at",
+    type=click.IntRange(min=1),
+    metavar="STATION",
+    help="Also state what `volcal verify` finds, and in which time, with the artefact at STATION.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end.")
 @reported
 def plan_command(
@@ -66,6 +76,7 @@ def plan_command(
     formulation: str | None,
     steps: Path | None,
     preview: Path | None,
+    verified_at: int | None,
     as_json: bool,
 ) -> None:
     """Run the preflight of the whole procedure: limits, collisions, minutes and the expected VCE."""
@@ -75,6 +86,8 @@ def plan_command(
     with naming(config):
         base = config.resolve().parent
         job = with_learned_latencies(prepare_job(settings, base), base)
+        if verified_at is not None:
+            station_of(job, verified_at)
         gates = forecast_gates(job)
     draw = _drawing(job, preview) if preview else None
     try:
@@ -87,19 +100,27 @@ def plan_command(
     before_minutes = run_minutes(listed, calibration_of).total
     expectation = predict_accuracy(job, preflight.measured)
     valuation = valuation_of(job, job.positions)
+    with naming(config):
+        verified = None if verified_at is None else verification_power(job, verified_at)
     files = draw(None) if draw else []
     if steps:
         write_branch_steps(preflight.branches, steps)
     if as_json:
         click.echo(
-            json.dumps(_document(job, preflight, before_minutes, expectation, valuation, gates, files), allow_nan=False)
+            json.dumps(
+                _document(job, preflight, before_minutes, expectation, valuation, gates, verified, files),
+                allow_nan=False,
+            )
         )
         require_forecast(gates)
         return
     console = results_console()
-    console.print(_table(job, preflight, before_minutes, expectation, valuation))
+    console.print(_table(job, preflight, before_minutes, expectation, valuation, verified))
     console.print(_branches_table(preflight))
     console.print(_minutes_table(minutes_by_part(preflight.steps)))
+    if verified is not None:
+        console.print(power_table(verified))
+        console.print(power_notes(verified))
     console.print(gates_table(gates))
     for path in files:
         click.echo(str(path))
@@ -125,6 +146,7 @@ def _document(
     expectation: PredictedAccuracy,
     valuation: Valuation,
     gates: tuple[GateForecast, ...],
+    verified: VerificationPower | None,
     files: list[Path],
 ) -> dict[str, object]:
     balls = sum(len(p.balls) for p in preflight.measured.positions)
@@ -163,6 +185,7 @@ def _document(
         "after_homing": _after_homing(job, expectation),
         "valuation_percent": round(valuation.percent, 2),
         "hidden_step": _hidden_document(job),
+        "verification": None if verified is None else verified.as_json(),
         "gates": [forecast.as_json() for forecast in gates],
         "wall_seconds": round(preflight.wall_seconds, 3),
         "files": [str(path) for path in files],
@@ -170,7 +193,12 @@ def _document(
 
 
 def _table(
-    job: Job, preflight: PreflightResult, before_minutes: float, expectation: PredictedAccuracy, valuation: Valuation
+    job: Job,
+    preflight: PreflightResult,
+    before_minutes: float,
+    expectation: PredictedAccuracy,
+    valuation: Valuation,
+    verified: VerificationPower | None,
 ) -> Table:
     measured = preflight.measured
     rows = [
@@ -190,6 +218,7 @@ def _table(
         ("after a homing", after_homing_text(_after_homing(job, expectation))),
         ("valuation", f"{valuation.percent:.1f} % of the volumetric error is expected to be removed"),
         ("change while measuring", _hidden(job)),
+        *([] if verified is None else [("found by a verification", power_text(verified))]),
         ("preflight took", f"{preflight.wall_seconds:.2f} s for {preflight.commands} steps"),
     ]
     return facts_table(rows, title="preflight passed: no collision, no limit")

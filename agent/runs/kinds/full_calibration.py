@@ -58,7 +58,8 @@ class PendingCalibration:
 
     def _verification(self, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
         slot, pending = self.slot, self.pending
-        plan = verification_plan(PositionChooser(self.here, self.station), self.judge)
+        chooser = PositionChooser(self.here, self.station)
+        plan = verification_plan(chooser, self.judge.prior, self.judge.expected_change)
         own = plan.job(self.here)
 
         def procedure() -> RunPlan:

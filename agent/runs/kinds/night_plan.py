@@ -17,7 +17,9 @@ from agent.probing.run_plan import MeasuredPositions, MeasuringOrder
 from agent.runs.kinds.drift_check import Judge
 from agent.runs.kinds.position_choice import PositionChooser
 from drivers.errors import ConfigurationError
+from twin.arrays import Array
 from twin.artefact.position_set import Position
+from twin.identification import CarriedOverPrior
 
 VERIFICATION, FURTHER = "look", "further"
 MIN_FUSED_POSITIONS = 2
@@ -93,12 +95,16 @@ def station_of(job: Job, named: int | None) -> int:
     return station
 
 
-def verification_plan(chooser: PositionChooser, judge: Judge) -> NightPlan:
+def verification_plan(chooser: PositionChooser, prior: CarriedOverPrior, change: Array) -> NightPlan:
     """Return the plan of a night in which the machine is only verified, that is, compared with the last accepted
-    night."""
+    night.
+
+    `prior` is the estimate of that night with the drift since then, and `change` (p, p) contains the expected squares
+    and products of the change of the p model parameters since the active table was computed.
+    """
     chosen = chooser.job.settings.nightly
-    held_out = _held_out(chooser, judge, chosen.held_out_positions)
-    checked = chooser.detecting_jumps(judge.prior, chosen.check_positions, held_out)
+    held_out = _held_out(chooser, prior, change, chosen.held_out_positions)
+    checked = chooser.detecting_jumps(prior, chosen.check_positions, held_out)
     return NightPlan(chooser.station, held_out, checked)
 
 
@@ -117,7 +123,7 @@ def night_plan(
     Raises PlanRefused if the slot is too short.
     """
     chosen = chooser.job.settings.nightly
-    held_out = _held_out(chooser, judge, chosen.held_out_positions)
+    held_out = _held_out(chooser, judge.prior, judge.expected_change, chosen.held_out_positions)
     room = slot_minutes - chosen.reserve_minutes
     budget = max(room - 2.0 * chooser.minutes(held_out), 0.0)
     checked = chooser.detecting_jumps(judge.prior, chosen.check_positions, held_out)
@@ -150,8 +156,8 @@ def positions_in(measured: MeasuredPositions) -> tuple[Position, ...]:
     return tuple(Position(ball.station, ball.azimuth_deg, ball.elevation_deg) for ball in first)
 
 
-def _held_out(chooser: PositionChooser, judge: Judge, count: int) -> tuple[Position, ...]:
-    held_out = chooser.held_out(judge.prior, judge.expected_change, count)
+def _held_out(chooser: PositionChooser, prior: CarriedOverPrior, change: Array, count: int) -> tuple[Position, ...]:
+    held_out = chooser.held_out(prior, change, count)
     if not held_out:
         raise ConfigurationError(
             f"none of the held-out orientations can be measured at station {chooser.station}",

@@ -3,7 +3,7 @@ machine errors (jumps) and to find the errors that changed."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
@@ -24,6 +24,7 @@ from twin.identification import CarriedOverPrior, Options
 from twin.identification.jump import SuspectedJump
 from twin.machine.volumetric import evaluation_grid
 from twin.monitoring.discriminating_positions import JumpQuestions, rank_discriminating_positions
+from twin.monitoring.step_power import StepPower, rank_by_power
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +103,24 @@ class PositionChooser:
         any machine error."""
         ranked = self._ranked(prior, JumpQuestions.any_jump(prior.unknowns), measured)
         return tuple(islice(ranked, count))
+
+    def step_power(self, prior: CarriedOverPrior, positions: Sequence[Position]) -> StepPower:
+        """Return the power of a measurement of `positions` to find a sudden change (step) of a machine error."""
+        search, places = self._search(prior, positions)
+        return StepPower.of(prior.unknowns, search.candidates.factors[places], prior.covariance)
+
+    def finding_steps(self, prior: CarriedOverPrior, steps: Mapping[str, float]) -> tuple[Position, ...]:
+        """Return the positions at this station that find the given steps fastest, in the order of their choice.
+
+        `steps` gives the size of a step in µm or µrad by the name of its error. Positions that contribute nothing are
+        left out.
+        """
+        search, _ = self._search(prior, self._offered())
+        candidates = search.candidates
+        usable = [index for index in range(candidates.count) if search.is_measurable(index)]
+        minutes = search.costs.minutes[usable]
+        ranked = rank_by_power(prior.unknowns, candidates.factors[usable], prior.covariance, steps, minutes)
+        return tuple(candidates.positions[usable[number]] for number in ranked)
 
     def discriminating(
         self,

@@ -45,7 +45,9 @@ class Verification:
         station = station_of(job, self.station)
         reference = require_reference(job, start.run)
         judge = Judge(job, reference, nights_since(reference, self.nights, start.at))
-        plan = verification_plan(PositionChooser(job_at_station(job, station), station), judge)
+        plan = verification_plan(
+            PositionChooser(job_at_station(job, station), station), judge.prior, judge.expected_change
+        )
         own = plan.job(job)
         return plan_run(own, self, start, lambda: verification(own, plan, judge), watch)
 
