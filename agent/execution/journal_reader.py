@@ -249,6 +249,11 @@ class JournalReader:
         query = queries.DECISION + "WHERE run = :run{aside} ORDER BY decisions.rowid"
         return self._rows(DecisionRow, _restricted(query, procedure_only), run=run)
 
+    def decision(self, run: int, kind: str) -> DecisionRow | None:
+        """Return the last decision of the kind `kind` in the run; None if there is none."""
+        query = queries.DECISION + "WHERE run = :run AND decisions.kind = :kind ORDER BY decisions.rowid DESC LIMIT 1"
+        return self._first(DecisionRow, query, run=run, kind=kind)
+
     def has_decision(self, run: int, kinds: Collection[str]) -> bool:
         query = "SELECT 1 FROM decisions WHERE run = :run AND kind IN (SELECT value FROM json_each(:kinds)) LIMIT 1"
         return self._one(query, run=run, kinds=_listed(kinds)) is not None

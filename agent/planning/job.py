@@ -18,7 +18,7 @@ from agent.probing.position import PositionRules
 from agent.probing.preparation import Preparation, PreparationResult, prepare_probe
 from agent.probing.repeated_positions import RepeatRules
 from agent.probing.run_plan import MeasuredPositions, MeasuringOrder, by_station
-from agent.settings.schema import GateSettings, Settings
+from agent.settings.schema import GateSettings, Settings, TimingSettings
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
@@ -55,7 +55,8 @@ class Job:
     rest of the preparation and many commands do not need it. Copies of a job made by `dataclasses.replace` share the
     choice in `held_out_choice`. `allowed_stations` contains the stations at which positions may be measured or held
     out, in measuring order. `latencies_from` is the identity of the run that has shown the latencies in `settings`; it
-    is empty if they are as stated in the settings file.
+    is empty if they are as stated in the settings file. `stated_timing` is the section `timing` of the settings file;
+    it is None if `settings` has it unchanged.
     """
 
     settings: Settings
@@ -69,6 +70,7 @@ class Job:
     preparation: Preparation
     gate_limits: GateSettings
     latencies_from: str = ""
+    stated_timing: TimingSettings | None = None
 
     @property
     def latencies_text(self) -> str:

@@ -27,6 +27,7 @@ from agent.thermal.readings import Conditions, read_conditions
 from agent.thermal.settling import SettlingRules, wait_until_settled
 from twin.arrays import Array
 from twin.artefact.pose_alignment import align_to_end_balls, align_to_third_ball
+from twin.artefact.position_set import Position
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,12 @@ class MeasuredPosition:
     drift_mm: Array
     last_mm: Array
     again: MeasuredBall | None = None
+
+    @property
+    def position(self) -> Position:
+        """Measured position, without a choice of its balls."""
+        one = self.balls[0]
+        return Position(one.station, one.azimuth_deg, one.elevation_deg)
 
     @property
     def all_balls(self) -> tuple[MeasuredBall, ...]:

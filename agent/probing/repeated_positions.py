@@ -135,7 +135,6 @@ def _renumbered(position: MeasuredPosition, start: int) -> MeasuredPosition:
 
 def _first(measured: MeasuredPositions, repeats: RepeatRules) -> tuple[Position, ...]:
     """Return the first `count` measured positions among the candidates, all at the station of the first one."""
-    first = [position.balls[0] for position in measured.positions]
-    positions = [Position(ball.station, ball.azimuth_deg, ball.elevation_deg) for ball in first]
-    wanted = [position for position in positions if position in repeats.candidates]
+    candidates = {position: position for position in repeats.candidates}  # with the balls that are chosen for each
+    wanted = [candidates[one.position] for one in measured.positions if one.position in candidates]
     return tuple(position for position in wanted if position.station == wanted[0].station)[: repeats.count]

@@ -277,6 +277,11 @@ def note_measured(role: str, measured: MeasuredPositions) -> Plan[None]:
     yield known(role, measured)
 
 
+def positions_in(measured: MeasuredPositions) -> tuple[Position, ...]:
+    """Return the positions that `measured` contains, in the order measured and without a choice of their balls."""
+    return tuple(one.position for one in measured.positions)
+
+
 def position_key(position: Position) -> str:
     """Return the key of a position, such as ``station-1/az90-el-45`` for station 1, azimuth 90° and elevation −45°."""
     return f"station-{position.station}/az{position.azimuth_deg:g}-el{position.elevation_deg:g}"

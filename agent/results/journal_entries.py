@@ -44,6 +44,8 @@ def inputs_of(job: Job) -> dict[str, Any]:
         "machine": job.machine.name,
         "tools_mm": {name: offset.tolist() for name, offset in job.machine.tools.items()},
         "artefact": asdict(ArtefactFacts.of(job.artefact)),
+        "latencies_from": job.latencies_from,
+        "stated_timing": (job.stated_timing or job.settings.timing).model_dump(mode="json"),
         "held_out": [[p.station, p.azimuth_deg, p.elevation_deg] for p in job.held_out],
         "files": [
             {"name": path.name, "sha256": sha256_of(path)}

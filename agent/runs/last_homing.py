@@ -7,12 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.execution.journal_reader import ANY_RUN, has_journal
-from agent.execution.run_record import read_record, run_heads
-from agent.execution.states import RunState
+from agent.execution.journal_reader import ANY_RUN
 from agent.planning.job import Job
-from agent.results.decision_kinds import INPUTS, TRIAL
+from agent.results.decision_kinds import TRIAL
 from agent.results.homing_scatter import AfterHoming, HomingScatter, MeasuredHoming
+from agent.runs.complete_runs import complete_runs
 from agent.runs.reference_state import reference_for
 from twin.identification import Estimate
 
@@ -21,16 +20,10 @@ def last_homing(state_directory: Path, machine: str, before_run: int = ANY_RUN) 
     """Return the scatter of the homing of the machine with the name `machine`, from the last complete trial in the
     journal of `state_directory` that has measured it; None if there is none. Only runs with numbers below `before_run`
     count. Raises InputError if the journal cannot be read."""
-    if not has_journal(state_directory):
-        return None
-    for head in reversed(run_heads(state_directory)):
-        row = head.row
-        if row.kind != TRIAL or row.state != RunState.COMPLETE.value or row.run >= before_run:
-            continue
-        record = read_record(state_directory, row.run_id)
-        measured = (record.decision(TRIAL) or {}).get("homing")
-        if measured and (record.decision(INPUTS) or {}).get("machine") == machine:
-            return MeasuredHoming(row.run_id, record.ended or record.started, HomingScatter.from_record(measured))
+    for run in complete_runs(state_directory, machine, before_run):
+        measured = run.decision(TRIAL).get("homing")
+        if measured:
+            return MeasuredHoming(run.row.run_id, run.row.ended or run.row.started, HomingScatter.from_record(measured))
     return None
 
 

@@ -6,15 +6,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from agent.execution.journal_reader import has_journal
-from agent.execution.run_record import read_record, run_heads
-from agent.execution.states import RunState
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
 from agent.planning.latency_fit import latencies_of, suggested_settings
 from agent.planning.time_model import time_model
 from agent.results.decision_kinds import INPUTS, OUTCOME
 from agent.results.run_time import LearnedLatency
+from agent.runs.complete_runs import CompleteRun, complete_runs
 from agent.runs.run_forecast import ENOUGH
 from agent.settings.schema import TimingSettings
 
@@ -27,21 +25,26 @@ class LastLatencies:
     latencies: tuple[LearnedLatency, ...]
 
 
-def last_latencies(state_directory: Path, machine: str) -> LastLatencies | None:
+def last_latencies(state_directory: Path, machine: str, stated: TimingSettings) -> LastLatencies | None:
     """Return the latencies of the last complete run of the machine with the name `machine` in the journal of
     `state_directory` that has learned at least one of them; None if there is no such run. Raises InputError if the
-    journal cannot be read."""
-    if not has_journal(state_directory):
-        return None
-    complete = [head.row.run_id for head in run_heads(state_directory) if head.row.state == RunState.COMPLETE.value]
-    for run_id in reversed(complete):
-        record = read_record(state_directory, run_id)
-        told = (record.decision(OUTCOME) or {}).get("run_time")
-        if told and (record.decision(INPUTS) or {}).get("machine") == machine:
-            learned = _enough(LearnedLatency(**one) for one in told["latencies"])
-            if learned:
-                return LastLatencies(run_id, learned)
+    journal cannot be read.
+
+    Only runs count whose settings file stated the same section `timing`, which is `stated`. A person who changes it
+    afterwards knows better than a former run: what it has learned then no longer counts.
+    """
+    for run in complete_runs(state_directory, machine):
+        told = run.decision(OUTCOME).get("run_time")
+        learned = _enough(LearnedLatency(**one) for one in told["latencies"]) if told else ()
+        if learned and _stated_timing(run) == stated.model_dump(mode="json"):
+            return LastLatencies(run.row.run_id, learned)
     return None
+
+
+def _stated_timing(run: CompleteRun) -> object:
+    """Return the section `timing` of the settings file of a run. Runs of versions without learned latencies have it in
+    their settings."""
+    return run.decision(INPUTS).get("stated_timing") or run.settings.get("timing")
 
 
 def _enough(latencies: Iterable[LearnedLatency]) -> tuple[LearnedLatency, ...]:
@@ -58,15 +61,15 @@ def _permitted(suggested: Mapping[str, float]) -> dict[str, float]:
 
 def with_learned_latencies(job: Job, base: Path) -> Job:
     """Return `job` with the latencies of the machine's last complete run in place of those of the settings, so that
-    paths, order, minutes and slots follow them; `job` itself if there is no such run.
+    paths, order, minutes and slots follow them; `job` itself if there is no such run, see `last_latencies`.
 
     `base` is the directory to which relative paths of the settings refer. The latencies are part of the settings of
     the job, which the journal stores. A resumed run has therefore the same plan, whatever a later run has shown.
     """
-    learned = last_latencies(job.settings.state_directory, job.machine.name)
+    timing = job.settings.timing
+    learned = last_latencies(job.settings.state_directory, job.machine.name, timing)
     if learned is None:
         return job
-    timing = job.settings.timing
     given = time_model(job.machine, timing)
     seconds = {**latencies_of(given), **{one.kind: one.learned_s for one in learned.latencies}}
     model = replace(
@@ -78,4 +81,4 @@ def with_learned_latencies(job: Job, base: Path) -> Job:
     )
     learned_timing = TimingSettings.model_validate({**timing.model_dump(), **_permitted(suggested_settings(model))})
     settings = job.settings.model_copy(update={"timing": learned_timing})
-    return replace(prepare_job(settings, base), latencies_from=learned.run_id)
+    return replace(prepare_job(settings, base), latencies_from=learned.run_id, stated_timing=timing)

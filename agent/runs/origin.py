@@ -12,6 +12,7 @@ from typing import Any
 from agent.errors import PlanDiverged
 from agent.execution.journal_reader import JournalReader
 from agent.execution.stored_json import stored_json
+from agent.results.decision_kinds import INPUTS
 from agent.results.journal_entries import input_files, sha256_of
 from agent.runs.consent import Consent
 from agent.runs.kinds.calibrate import FullCalibration
@@ -33,7 +34,8 @@ class Origin:
 
     `base` is the directory to which relative paths refer. `files` maps the path of each input file to the SHA-256 of
     the file. `begun_s` is the time of the machine's clock in s at the end of the preflight, and `begun_at` is the UTC
-    time of that instant.
+    time of that instant. `latencies_from` is the identity of the run that has shown the latencies in `settings`; it is
+    empty if they are as stated.
     """
 
     run_id: str
@@ -44,6 +46,7 @@ class Origin:
     files: Mapping[str, str]
     begun_s: float
     begun_at: str
+    latencies_from: str = ""
 
     def require_unchanged(self) -> None:
         """Raise PlanDiverged if an input file has changed since the run began. The error names the file and the run."""
@@ -88,7 +91,13 @@ def read_origin(reader: JournalReader, run: int) -> Origin:
         files=record["files"],
         begun_s=row.begun_s,
         begun_at=row.begun_at,
+        latencies_from=_latencies_from(reader, run),
     )
+
+
+def _latencies_from(reader: JournalReader, run: int) -> str:
+    inputs = reader.decision(run, INPUTS)
+    return "" if inputs is None else str(inputs.record.get("latencies_from", ""))
 
 
 def digests(settings: Settings, base: Path) -> dict[str, str]:

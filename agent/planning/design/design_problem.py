@@ -16,8 +16,7 @@ from agent.planning.job import HeldOutChoice, Job, KnownHeldOut, Planner
 from agent.planning.planning_options import planning_options
 from agent.planning.run_minutes import PHASES, PREPARATION, RunMinutes, held_out_keys, phase_of, run_minutes, run_steps
 from twin.artefact.position_set import Position
-from twin.design.ball_choice import spread_balls
-from twin.design.candidates import CandidatePositions, build_candidates, orientation_grid
+from twin.design.candidates import CandidatePositions, build_candidates, orientation_grid, spread_balls
 from twin.design.measuring_cost import MeasuringCosts
 from twin.design.procedure import Procedure
 from twin.design.search import ExchangeSearch

@@ -13,7 +13,7 @@ from agent.errors import PlanRefused
 from agent.execution.steps import Point
 from agent.planning.job import Job, KnownHeldOut, Planner
 from agent.planning.preflight import PreflightResult, run_preflight
-from agent.probing.run_plan import MeasuredPositions, MeasuringOrder
+from agent.probing.run_plan import MeasuringOrder
 from agent.runs.kinds.drift_check import Judge
 from agent.runs.kinds.position_choice import PositionChooser
 from drivers.errors import ConfigurationError
@@ -148,12 +148,6 @@ def night_plan(
         raise _too_short(slot_minutes, chosen.reserve_minutes, tried)
     plan, _ = tried[max(fits)]
     return plan, run_preflight(plan.job(chooser.job), planner(plan), start_mm, watch)
-
-
-def positions_in(measured: MeasuredPositions) -> tuple[Position, ...]:
-    """Return the positions that `measured` contains."""
-    first = [position.balls[0] for position in measured.positions if position.balls]
-    return tuple(Position(ball.station, ball.azimuth_deg, ball.elevation_deg) for ball in first)
 
 
 def _held_out(chooser: PositionChooser, prior: CarriedOverPrior, change: Array, count: int) -> tuple[Position, ...]:

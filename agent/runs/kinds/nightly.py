@@ -21,7 +21,7 @@ from agent.planning.preflight import PreflightResult, run_preflight
 from agent.probing.measured_balls import observations_of
 from agent.probing.publish import ActiveCompensation
 from agent.probing.repeated_positions import join_measured
-from agent.probing.run_plan import MEASURED, MeasuredPositions, measure_positions, note_measured
+from agent.probing.run_plan import MEASURED, MeasuredPositions, measure_positions, note_measured, positions_in
 from agent.results.estimation import EstimationResult, estimate_in_run
 from agent.results.gates import Gate, change_gate, estimate_gates, proof_gate, shape_gates
 from agent.results.observations import balls_for_estimate
@@ -55,7 +55,6 @@ from agent.runs.kinds.night_plan import (
     NightPlan,
     job_at_station,
     night_plan,
-    positions_in,
     station_of,
 )
 from agent.runs.kinds.position_choice import PositionChooser

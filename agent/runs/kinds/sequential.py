@@ -32,7 +32,13 @@ from agent.planning.measuring_order import AT_REST_DEG
 from agent.planning.preflight import NOTHING_MEASURED, Standing, run_preflight
 from agent.probing.measured_balls import Correction, observations_of
 from agent.probing.repeated_positions import join_measured, repeat_if_changed
-from agent.probing.run_plan import MeasuredPositions, MeasuringOrder, measure_positions, position_key
+from agent.probing.run_plan import (
+    MeasuredPositions,
+    MeasuringOrder,
+    measure_positions,
+    position_key,
+    positions_in,
+)
 from agent.results.estimation import EstimationResult, estimate_from_balls
 from agent.results.observations import balls_for_estimate
 from agent.runs.kinds.calibration import CalibrationTask, concluded, nothing_more
@@ -96,7 +102,7 @@ class _Renewal:
         estimation = self._estimation(measured, seen, target_um)
         if estimation is not None:
             seen = seen.with_estimate(estimation.estimate)
-        done = _positions_of(measured)
+        done = positions_in(measured)
         ranked = self.candidates.ranked(seen, standing, done)
         limits = None if estimation is None else estimation.volumetric.after_aligned.limits_um
         return {
@@ -155,7 +161,7 @@ class _Running:
         the probe; None if its station is not known."""
         datum = self.ready.prepared.datum
         if measured.positions:
-            return standing_in(_positions_of(measured)[-1])
+            return standing_in(positions_in(measured)[-1])
         if datum is not None:
             return standing_in(datum.position)
         return None if measured.standing_at is None else Standing(measured.standing_at, *AT_REST_DEG)
@@ -190,7 +196,7 @@ def _chosen(
     key = f"sequential/choice-{number}" + (f"-{len(refused)}" if refused else "")
     now_s: float = yield ReadClock(f"{key}/clock")
     left = task.end.left((now_s - running.began_s) / S_PER_MIN)
-    without = {*_positions_of(measured), *refused}
+    without = {*positions_in(measured), *refused}
     offered = {position_key(one): one for one in task.candidates.positions if one not in without}
     ways: dict[str, Callable[[], RunPlan]] = {
         name: partial(_proved, running, measured, record, refused, position, left) for name, position in offered.items()
@@ -267,7 +273,7 @@ def _stopped(running: _Running, measured: MeasuredPositions, record: Mapping[str
     """Measure the held-out positions, and write and prove a table from what was measured."""
     task, ready, number = running.task, running.ready, len(measured.positions)
     yield Record("sequential/end", "event", {"note": _end_text(number, record, task.end)})
-    own = with_positions(task.job, _positions_of(measured))
+    own = with_positions(task.job, positions_in(measured))
     yield known("sequential/job", own)
     order = held_out_order(own, measured.standing_at, number)
     held_out = yield from measure_positions(order, own.layout, ready.rules, measured.mount_poses)
@@ -299,8 +305,3 @@ def with_positions(job: Job, positions: tuple[Position, ...]) -> Job:
     settings. The held-out positions stay."""
     procedure = job.settings.procedure.model_copy(update={"position_set": SET_NAME})
     return replace(job, positions=positions, settings=job.settings.model_copy(update={"procedure": procedure}))
-
-
-def _positions_of(measured: MeasuredPositions) -> tuple[Position, ...]:
-    first = [position.balls[0] for position in measured.positions]
-    return tuple(Position(ball.station, ball.azimuth_deg, ball.elevation_deg) for ball in first)

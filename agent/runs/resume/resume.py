@@ -7,6 +7,7 @@ result.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
@@ -65,7 +66,8 @@ def _resume_once(
     and nobody has asked for the end of the run.
     """
     origin = resumable_origin(state_directory)
-    settings, run_id, job = origin.settings, origin.run_id, prepare_job(origin.settings, origin.base)
+    settings, run_id = origin.settings, origin.run_id
+    job = replace(prepare_job(settings, origin.base), latencies_from=origin.latencies_from)
     with run_resources(settings.state_directory, settings.clock, run_id, hooks) as resources:
         run_clock = ResumedClock(resources.clock, origin.begun_s)
         clock = resources.interruptible(run_clock)

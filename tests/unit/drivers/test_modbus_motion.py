@@ -89,6 +89,43 @@ def test_a_touch_that_meets_nothing_is_a_miss(cnc: ModbusCnc) -> None:
     assert result.position_mm == (100.0, 210.0, 300.0)
 
 
+def touch_of_40_mm(cnc: ModbusCnc, plc: FakePlc, trip_at_mm: float | None) -> tuple[float, int]:
+    """Touch from the start; return the Y position of the result and the number of requests of the touch."""
+    cnc.move_to(np.array(START), feed_mm_per_s=None, guarded=False)
+    plc.trip_at_mm = trip_at_mm
+    before = len(plc.requests)
+    result = cnc.touch_towards(np.array([100.0, 240.0, 300.0]), feed_mm_per_s=5.0)
+    plc.trip_at_mm = None
+    return result.position_mm[1], len(plc.requests) - before
+
+
+def test_a_touch_that_trips_where_the_last_one_did_needs_the_fewest_polls(cnc: ModbusCnc, plc: FakePlc) -> None:
+    places, requests = zip(*(touch_of_40_mm(cnc, plc, trip) for trip in (10.0, 10.001, 10.002)), strict=True)
+    assert places == pytest.approx((210.0, 210.001, 210.002), abs=1e-12)
+    assert requests[1] == requests[2] <= requests[0]
+
+
+@pytest.mark.parametrize(("trip_at_mm", "place_mm"), [(1.0, 201.0), (39.0, 239.0), (None, 240.0)])
+def test_a_touch_that_ends_elsewhere_than_the_last_one_is_as_exact(
+    cnc: ModbusCnc, plc: FakePlc, clock: VirtualClock, trip_at_mm: float | None, place_mm: float
+) -> None:
+    touch_of_40_mm(cnc, plc, 10.0)
+    began_s = clock.now()
+    place, requests = touch_of_40_mm(cnc, plc, trip_at_mm)
+    took_s = (place_mm - 200.0) / 5.0
+    assert place == pytest.approx(place_mm, abs=1e-12)
+    # the move back takes up to 0.4 s, and the end is seen one poll late at most
+    assert clock.now() - began_s == pytest.approx(took_s, abs=0.4 + 0.2)
+    assert requests < 20 + took_s / 0.1
+
+
+def test_a_touch_of_no_length_is_a_miss_even_after_a_very_short_one(cnc: ModbusCnc, plc: FakePlc) -> None:
+    plc.trip_at_mm = 0.01
+    assert isinstance(cnc.touch_towards(np.array([100.0, 200.04, 300.0]), feed_mm_per_s=5.0), Touch)
+    plc.trip_at_mm = None
+    assert isinstance(cnc.touch_towards(cnc.position(), feed_mm_per_s=5.0), Miss)
+
+
 def test_a_latch_of_another_touch_is_refused(cnc: ModbusCnc, plc: FakePlc) -> None:
     def restore_old_latch(request: bytes, answer: bytes) -> bytes:
         stale = bytearray(answer)

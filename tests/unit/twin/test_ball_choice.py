@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twin.design.ball_choice import spread_balls
+from twin.design.candidates import spread_balls
 
 
 @pytest.mark.parametrize(("count", "expected"), [(2, (0, 10)), (3, (0, 5, 10)), (5, (0, 2, 5, 7, 10))])
