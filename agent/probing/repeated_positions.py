@@ -69,10 +69,10 @@ def repeat_if_changed(
     if repeats.closing:
         reason = "positions of the first station are measured again, to see if the machine has changed"
         return (yield from _repeated(measured, repeats.closing, reason, layout, rules, then))
-    first = _first(measured, repeats)
+    first = positions_to_repeat(measured, repeats)
     if not first:
         return (yield from then(measured))
-    change_k = machine_change_k([ball.conditions for ball in measured_balls(measured)], repeats.declared_k)
+    change_k = change_of_machine_k(measured, repeats)
     choice = REPEATED if change_k >= repeats.threshold_k else ONCE
     reason = f"the machine has changed by {change_k:.2f} K: positions of the first station are measured again"
     return Fork(
@@ -95,6 +95,18 @@ def _repeated(
     again = MeasuringOrder(REPEAT_PREFIX, first, measured.standing_at, measured.placed)
     more = yield from measure_positions(again, layout, rules, measured.mount_poses)
     return (yield from then(join_measured(measured, more)))
+
+
+def positions_to_repeat(measured: MeasuredPositions, repeats: RepeatRules) -> tuple[Position, ...]:
+    """Return the first `count` measured positions among the candidates, all at the station of the first one."""
+    candidates = {position: position for position in repeats.candidates}  # with the balls that are chosen for each
+    wanted = [candidates[one.position] for one in measured.positions if one.position in candidates]
+    return tuple(position for position in wanted if position.station == wanted[0].station)[: repeats.count]
+
+
+def change_of_machine_k(measured: MeasuredPositions, repeats: RepeatRules) -> float:
+    """Return the change in K of the machine's temperature over the `measured` positions."""
+    return machine_change_k([ball.conditions for ball in measured_balls(measured)], repeats.declared_k)
 
 
 def measured_balls(measured: MeasuredPositions) -> list[MeasuredBall]:
@@ -131,10 +143,3 @@ def _renumbered(position: MeasuredPosition, start: int) -> MeasuredPosition:
 
     again = None if position.again is None else shifted(position.again)
     return replace(position, balls=tuple(shifted(ball) for ball in position.balls), again=again)
-
-
-def _first(measured: MeasuredPositions, repeats: RepeatRules) -> tuple[Position, ...]:
-    """Return the first `count` measured positions among the candidates, all at the station of the first one."""
-    candidates = {position: position for position in repeats.candidates}  # with the balls that are chosen for each
-    wanted = [candidates[one.position] for one in measured.positions if one.position in candidates]
-    return tuple(position for position in wanted if position.station == wanted[0].station)[: repeats.count]

@@ -10,14 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from agent.errors import PlanRefused
+from agent.errors import GateRefused, PlanRefused
 from agent.execution.journal_reader import open_journal
 from agent.execution.states import RunState
+from agent.execution.steps import Plan, Record
 from agent.planning.design.sequential_candidates import MIN_POSITIONS, SequentialCandidates, standing_in
 from agent.planning.job_preparation import prepare_job
 from agent.planning.preflight import PreflightResult, run_preflight
 from agent.probing.ball import point
-from agent.probing.run_plan import position_key
+from agent.probing.run_plan import MeasuredPositions, MeasuringOrder, measure_positions, position_key
 from agent.runs.kinds import sequential
 from agent.runs.kinds.calibrate import FullCalibration
 from agent.runs.kinds.calibration import CalibrationTask
@@ -195,7 +196,7 @@ class TestRefusals:
 
         def minutes(self: sequential._Proof, *arguments: object) -> float:
             if not refused:
-                refused.append(position_key(self.position))
+                refused.append(position_key(self.positions[0]))
                 return -1.0
             return proved(self, *arguments)  # type: ignore[arg-type]
 
@@ -214,10 +215,43 @@ class TestRefusals:
         settings, _ = prepare_case(in_directory)
         job = prepare_job(settings, in_directory)
         position = SequentialCandidates(job).positions[0]
-        proof = sequential._Proof(job, position, 1, standing_in(position))
+        proof = sequential._Proof(job, (position,), 1, standing_in(position))
         inside = point(job.layout.nominal(position)[5])
         assert proof.minutes(job.start_mm, lambda: None) > 0.0
         assert proof.minutes(inside, lambda: None) < 0.0
+
+    def test_a_run_without_any_measured_position_ends_before_the_held_out_ones(
+        self, in_directory: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(sequential._Proof, "minutes", lambda *_: -1.0)
+        settings, machine = prepare_case(in_directory)
+        ended = machine.run(settings, kind=KIND)
+        assert isinstance(ended.error, GateRefused)
+        assert "no position was measured" in str(ended.error)
+        assert ended.outcome.state is RunState.REFUSED
+        assert not recorded(in_directory, "held-out/")
+
+    def test_a_position_whose_balls_are_out_of_reach_falls_out(
+        self, in_directory: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """The mount stands elsewhere than its settings say, and the balls of a proved position leave the travel."""
+        gone: list[str] = []
+
+        def measure(order: MeasuringOrder, *arguments: object) -> Plan[MeasuredPositions]:
+            if order.prefix == "measure-2":
+                name = position_key(order.positions[0])
+                gone.append(name)
+                yield Record(f"{order.prefix}/{name}/left-out", "event", {"reachable_balls": 2})
+                return MeasuredPositions((), (name,), 9, order.standing_at, arguments[2])  # type: ignore[arg-type]
+            return (yield from measure_positions(order, *arguments))  # type: ignore[arg-type]
+
+        monkeypatch.setattr(sequential, "measure_positions", measure)
+        settings, machine = prepare_case(in_directory)
+        ended = machine.run(settings, kind=KIND)
+        assert ended.error is None, ended.error
+        keys = [key for key, _ in recorded(in_directory, "measure-")]
+        assert len(set(gone)) == 1 and not any(f"/{gone[0]}/" in key for key in keys)
+        assert any(key.startswith("measure-2-1/station-") for key in keys)
 
     def test_a_slot_that_is_too_short_is_refused_with_the_time_that_it_takes(self, in_directory: Path) -> None:
         settings, machine = prepare_case(in_directory)
@@ -225,6 +259,37 @@ class TestRefusals:
         assert isinstance(ended.error, PlanRefused)
         assert "the slot of 10 min is too short: 6 positions" in str(ended.error)
         assert ended.outcome.state is RunState.REFUSED
+
+
+class TestRepeats:
+    """The machine counts as changed, so that positions are measured again before the proof."""
+
+    @staticmethod
+    def run(directory: Path) -> tuple[RunResult, list[str]]:
+        settings, machine = prepare_case(directory)
+        temperature = settings.temperature.model_copy(update={"repeat_after_change_k": 0.0})
+        ended = machine.run(settings.model_copy(update={"temperature": temperature}), kind=KIND)
+        return ended, [key for key, _ in recorded(directory)]
+
+    def test_they_are_proved_before_anything_moves(self, in_directory: Path) -> None:
+        ended, keys = self.run(in_directory)
+        assert ended.error is None, ended.error
+        close = next(place for place, key in enumerate(keys) if key.startswith("close/station-"))
+        assert keys.index("sequential/proof-repeat") < close
+
+    def test_they_are_left_out_if_they_cannot_be_measured(
+        self, in_directory: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        proved = sequential._Proof.minutes
+
+        def minutes(self: sequential._Proof, *arguments: object) -> float:
+            return proved(self, *arguments) if self.held_out_follows else -1.0  # type: ignore[arg-type]
+
+        monkeypatch.setattr(sequential._Proof, "minutes", minutes)
+        ended, keys = self.run(in_directory)
+        assert ended.error is None, ended.error
+        assert "sequential/proof-repeat" in keys
+        assert not any(key.startswith("close/station-") for key in keys)
 
 
 def test_a_target_that_is_reached_ends_the_run_before_its_slot(reaching: tuple) -> None:

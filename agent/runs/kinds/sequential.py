@@ -12,13 +12,14 @@ the machine stands before anything moves, together with the way to the held-out 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
-from agent.errors import MeasurementFault, PlanRefused
-from agent.execution.steps import ComputeOnce, Fork, Point, ProvePlan, ReadClock, Record, RunPlan, known
+from agent.errors import GateRefused, MeasurementFault, PlanRefused
+from agent.execution.steps import ComputeOnce, Fork, Plan, Point, ProvePlan, ReadClock, Record, RunPlan, known
 from agent.files import translated
 from agent.planning.design.sequential_candidates import (
     MIN_POSITIONS,
@@ -31,7 +32,13 @@ from agent.planning.job import Job
 from agent.planning.measuring_order import AT_REST_DEG
 from agent.planning.preflight import NOTHING_MEASURED, Standing, run_preflight
 from agent.probing.measured_balls import Correction, observations_of
-from agent.probing.repeated_positions import join_measured, repeat_if_changed
+from agent.probing.repeated_positions import (
+    RepeatRules,
+    change_of_machine_k,
+    join_measured,
+    positions_to_repeat,
+    repeat_if_changed,
+)
 from agent.probing.run_plan import (
     MeasuredPositions,
     MeasuringOrder,
@@ -42,7 +49,7 @@ from agent.probing.run_plan import (
 from agent.results.estimation import EstimationResult, estimate_from_balls
 from agent.results.observations import balls_for_estimate
 from agent.runs.kinds.calibration import CalibrationTask, concluded, nothing_more
-from agent.runs.kinds.run_parts import PreparedRun, found_compensation, prepared_run
+from agent.runs.kinds.run_parts import PreparedRun, found_compensation, prepared_run, refused
 from agent.thermal.machine_drift import is_drifting
 from twin.artefact.position_set import Position
 from twin.design.sequential import PositionsSeen
@@ -160,8 +167,10 @@ class _Running:
         """Return the place of the artefact after the `measured` positions or, before the first one, after the checks of
         the probe; None if its station is not known."""
         datum = self.ready.prepared.datum
-        if measured.positions:
+        if measured.positions and positions_in(measured)[-1].station == measured.standing_at:
             return standing_in(positions_in(measured)[-1])
+        if measured.positions and measured.standing_at is not None:  # the position for which it was moved was left out
+            return Standing(measured.standing_at, *AT_REST_DEG)
         if datum is not None:
             return standing_in(datum.position)
         return None if measured.standing_at is None else Standing(measured.standing_at, *AT_REST_DEG)
@@ -188,26 +197,28 @@ def _next(running: _Running, measured: MeasuredPositions) -> RunPlan:
 
 
 def _chosen(
-    running: _Running, measured: MeasuredPositions, record: Mapping[str, Any], refused: tuple[Position, ...]
+    running: _Running, measured: MeasuredPositions, record: Mapping[str, Any], left_out: tuple[Position, ...]
 ) -> RunPlan:
     """Decide between the best position that still fits into the slot and the end of the measurement. Positions in
-    `refused` are left out."""
+    `left_out` are not offered."""
     number, task = len(measured.positions), running.task
-    key = f"sequential/choice-{number}" + (f"-{len(refused)}" if refused else "")
+    key = f"sequential/choice-{_attempt(measured, left_out)}"
     now_s: float = yield ReadClock(f"{key}/clock")
     left = task.end.left((now_s - running.began_s) / S_PER_MIN)
-    without = {*positions_in(measured), *refused}
+    without = {*positions_in(measured), *left_out}
     offered = {position_key(one): one for one in task.candidates.positions if one not in without}
+    offered = {name: one for name, one in offered.items() if name not in measured.left_out}
     ways: dict[str, Callable[[], RunPlan]] = {
-        name: partial(_proved, running, measured, record, refused, position, left) for name, position in offered.items()
+        name: partial(_proved, running, measured, record, left_out, position, left)
+        for name, position in offered.items()
     }
     ways[STOP] = partial(_stopped, running, measured, record)
-    planned = position_key(task.planned[number]) if number < len(task.planned) and not refused else STOP
+    planned = position_key(task.planned[number]) if number < len(task.planned) and not left_out else STOP
     # beforehand, the end is walked where it can first come and where the slot is over
     walked = (planned, STOP) if number == MIN_POSITIONS and planned != STOP else (planned,)
 
     def choose() -> str:
-        if record["reached"] or len(refused) >= MAX_PROOFS:
+        if record["reached"] or len(left_out) >= MAX_PROOFS:
             return STOP
         seconds = dict(zip(task.candidates.positions, task.candidates.seconds(running.standing(measured)), strict=True))
         for name in map(str, record["ranked"]):
@@ -225,53 +236,78 @@ def _proved(
     running: _Running,
     measured: MeasuredPositions,
     record: Mapping[str, Any],
-    refused: tuple[Position, ...],
+    left_out: tuple[Position, ...],
     position: Position,
     left: float,
 ) -> RunPlan:
     """Prove the way to the chosen position and from there to the end of the run, and measure the position. If the plan
     is refused or does not fit into the slot, the next best position is chosen."""
-    number, job = len(measured.positions), running.job
-    key = f"sequential/proof-{number}" + (f"-{len(refused)}" if refused else "")
-    proof = _Proof(job, position, measured.standing_at, running.standing(measured))
-    minutes: float = yield ProvePlan(key, proof.minutes)
-    if not 0.0 <= minutes <= left:
-        reason = "it cannot be measured from here" if minutes < 0.0 else f"it takes {minutes:.1f} min with the proof"
-        yield Record(f"{key}/refused", "event", {"note": f"{position_key(position)} is left out: {reason}"})
-        return (yield from _chosen(running, measured, record, (*refused, position)))
-    order = MeasuringOrder(f"measure-{number}", (position,), measured.standing_at, first_number=number)
+    number, job, attempt = len(measured.positions), running.job, _attempt(measured, left_out)
+    key = f"sequential/proof-{attempt}"
+    proof = _Proof(job, (position,), measured.standing_at, running.standing(measured))
+    if not (yield from _fits(key, position_key(position), proof, left)):
+        return (yield from _chosen(running, measured, record, (*left_out, position)))
+    order = MeasuringOrder(f"measure-{attempt}", (position,), measured.standing_at, first_number=number)
     more = yield from measure_positions(order, job.layout, running.ready.rules, measured.mount_poses)
-    return (yield from _next(running, join_measured(measured, more)))
+    joined = join_measured(measured, more)
+    if not more.positions:  # too few balls are within reach, because the mount stands elsewhere than expected
+        return (yield from _chosen(running, joined, record, (*left_out, position)))
+    return (yield from _next(running, joined))
+
+
+def _attempt(measured: MeasuredPositions, left_out: tuple[Position, ...]) -> str:
+    """Return the number of the next position, with the number of positions that were left out before it if there are
+    any, as part of the keys of its steps."""
+    return f"{len(measured.positions)}" + (f"-{len(left_out)}" if left_out else "")
+
+
+def _fits(key: str, name: str, proof: _Proof, left: float) -> Plan[bool]:
+    """Carry out `proof`. Return True if its plan can be carried out in the `left` minutes; otherwise, journal that the
+    positions with the name `name` are left out."""
+    minutes: float = yield ProvePlan(key, proof.minutes)
+    if 0.0 <= minutes <= left:
+        return True
+    reason = "cannot be measured from here" if minutes < 0.0 else f"would take {minutes:.1f} min with the proof"
+    yield Record(f"{key}/refused", "event", {"note": f"left out: {name} {reason}"})
+    return False
 
 
 @dataclass(frozen=True, eq=False)
 class _Proof:
-    """Proof that `position` can be measured from where the machine stands, and the run be ended after it. The artefact
-    stands at the station `standing_at`, with the mount as in `standing`."""
+    """Proof that `positions` can be measured from where the machine stands, and the run be ended after them. The
+    artefact stands at the station `standing_at`, with the mount as in `standing`. `held_out_follows` is False if the
+    held-out positions have been measured already, so that only the proof of the table follows."""
 
     job: Job
-    position: Position
+    positions: tuple[Position, ...]
     standing_at: int | None
     standing: Standing | None
+    held_out_follows: bool = True
 
     def minutes(self, at_mm: Point, watch: Callable[[], None]) -> float:
         """Return the machine minutes from the axis positions `at_mm` to the end of a run that measures only the
-        position before the held-out positions; negative if the preflight refuses this plan."""
+        positions before those that follow; negative if the preflight refuses this plan."""
         try:
             return run_preflight(self.job, self._plan, at_mm, watch, standing=self.standing).machine_minutes
         except PlanRefused:
             return _REFUSED
 
     def _plan(self, job: Job) -> RunPlan:
-        order = MeasuringOrder("measure", (self.position,), self.standing_at)
+        order = MeasuringOrder("measure", self.positions, self.standing_at)
         more = yield from measure_positions(order, job.layout, job.rules)
-        yield from held_out_and_proof(job, more.standing_at)
+        if self.held_out_follows:
+            yield from held_out_and_proof(job, more.standing_at)
+        else:
+            yield from measure_positions(job.verification_order(more.standing_at), job.layout, job.rules)
         return None
 
 
 def _stopped(running: _Running, measured: MeasuredPositions, record: Mapping[str, Any]) -> RunPlan:
-    """Measure the held-out positions, and write and prove a table from what was measured."""
+    """Measure the held-out positions, and write and prove a table from what was measured. The run is refused if nothing
+    was measured: there is no estimate without a position, and the way to the held-out positions is not proved."""
     task, ready, number = running.task, running.ready, len(measured.positions)
+    if number == 0:
+        return (yield from refused(_refuse_nothing_measured))
     yield Record("sequential/end", "event", {"note": _end_text(number, record, task.end)})
     own = with_positions(task.job, positions_in(measured))
     yield known("sequential/job", own)
@@ -280,6 +316,8 @@ def _stopped(running: _Running, measured: MeasuredPositions, record: Mapping[str
     both = join_measured(measured, held_out)
     own_task, own_ready = replace(task.calibration, job=own), replace(ready, job=own)
     repeats = replace(own.repeat_rules, closing=())
+    if not (yield from _repeats_proved(replace(running, ready=own_ready), both, repeats)):
+        repeats = replace(repeats, count=0)
     return (
         yield from repeat_if_changed(
             "sequential",
@@ -289,6 +327,26 @@ def _stopped(running: _Running, measured: MeasuredPositions, record: Mapping[str
             repeats,
             lambda everything: concluded(own_task, own_ready, everything, nothing_more),
         )
+    )
+
+
+def _repeats_proved(running: _Running, measured: MeasuredPositions, repeats: RepeatRules) -> Plan[bool]:
+    """Return False if positions were to be measured again because the machine has changed, but cannot be. Which
+    positions these are is known only after the measurement, so the way to them is proved here. Their time is not part
+    of the slot."""
+    again = positions_to_repeat(measured, repeats)
+    if not again or change_of_machine_k(measured, repeats) < repeats.threshold_k:
+        return True
+    standing = running.standing(measured)
+    proof = _Proof(running.ready.job, again, measured.standing_at, standing, held_out_follows=False)
+    return (yield from _fits("sequential/proof-repeat", "the repetition of the first positions", proof, math.inf))
+
+
+def _refuse_nothing_measured() -> None:
+    raise GateRefused(
+        "no position was measured: none could be measured from where the machine stands, with the proof after it, in "
+        "the time that was left of the slot",
+        hint="nothing was written; give a longer slot, or look at the reasons in `volcal report`",
     )
 
 

@@ -20,8 +20,8 @@ def measured_with_repeats(job: Job, listed: tuple[Position, ...]) -> MeasuredPos
 
     def then(measured: MeasuredPositions) -> RunPlan:
         found.append(measured)
+        yield from ()
         return None
-        yield
 
     rules = RepeatRules(threshold_k=0.0, declared_k=1.0, count=2, candidates=listed)
 
