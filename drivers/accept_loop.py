@@ -42,7 +42,7 @@ def accepted(listener: socket.socket, stopped: threading.Event, server: str) -> 
             continue
         if failing:
             failing = False
-            log.info("connections are accepted again", server=server)
+            log.warning("connections are accepted again", server=server)
         yield connection, str(peer[0])
 
 

@@ -90,7 +90,7 @@ def read_positions(path: PathName) -> tuple[Position, ...]:
     row, column or key, if the file is invalid.
 
     >>> volcal.read_positions(volcal.shipped_file("linuxcnc/few-positions.csv"))[0]
-    Position(station=1, azimuth_deg=0.0, elevation_deg=45.0, tool=None)
+    Position(station=1, azimuth_deg=0.0, elevation_deg=45.0, tool=None, balls=None)
     """
     return parse_positions(_text(path), str(path))
 
