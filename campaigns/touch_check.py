@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from agent.planning.procedure_rules import probing_of
 from agent.probing.ball import first_failed_gate
-from agent.probing.probing_parameters import BallLimits, ProbingParameters, Search
 from agent.settings.schema import ProcedureSettings
 from campaigns.foreign.artefact import S3, measure, tilted_bar
 from campaigns.foreign.machine import foreign_machine
@@ -24,25 +24,25 @@ from campaigns.foreign.score import family_of
 from twin.artefact.observations import Observations
 from twin.artefact.sphere_fit import fit_sphere
 from twin.artefact.touch_pattern import approach_directions
+from twin.collision.probe_frame import ProbeFrame
 from twin.design.measurement_setup import AS_STATED
 from twin.identification.checks.touch_consistency import TouchConsistency
 
 WRONG_UM = (5.0, 8.0, 10.0, 15.0, 20.0, 30.0, 50.0)
 STYLUS = np.array([0.0, 1.0, 0.0])
-RADIUS_MM, NOISE_MM = 14.0, 1e-3
+TIP_RADIUS_MM, NOISE_MM = 2.0, 1e-3
 FALSE_ALARM = ProcedureSettings().position_false_alarm
 
 
 @dataclass
 class Counts:
-    """Number of positions without a wrong touch and of those in which one was found, number of positions with a wrong
-    touch of each size, and number of other balls that were named in them.
+    """Number of positions, of those in which a wrong touch was found without one, and of other balls that were named
+    with one.
 
     `found` maps the size of a wrong touch in µm to the number of positions in which its ball was named."""
 
     positions: int = 0
     alarms: int = 0
-    trials: int = 0
     others: int = 0
 
     def __post_init__(self) -> None:
@@ -68,7 +68,6 @@ def count(seeds: Sequence[int], worse: float) -> Counts:
         for seen, check in positions_of(seed, worse):
             counts.positions += 1
             counts.alarms += bool(check.inconsistent(seen))
-            counts.trials += 1
             for wrong_um in WRONG_UM:
                 ball, touch = int(rng.integers(seen.size)), int(rng.integers(len(check.directions)))
                 moved = seen.axis_positions.copy()
@@ -81,41 +80,16 @@ def count(seeds: Sequence[int], worse: float) -> Counts:
 
 def five_touch_power(wrong_um: float, trials: int = 400) -> float:
     """Return the fraction of wrong touches that the limits of a ball with five touches find."""
-    rng, directions = np.random.default_rng(1), approach_directions(5, STYLUS)
-    probing = _five_touches(directions)
+    rng = np.random.default_rng(1)
+    probing = probing_of(ProcedureSettings(), TIP_RADIUS_MM, tilted_bar(rng).artefact, ProbeFrame.of(STYLUS))
+    directions = probing.directions
     found = 0
     for _ in range(trials):
         off = rng.normal(0.0, NOISE_MM, len(directions))
         off[rng.integers(len(directions))] += 1e-3 * wrong_um
-        points = -directions * (RADIUS_MM + off)[:, None]
+        points = -directions * (probing.contact_mm + off)[:, None]
         found += first_failed_gate(fit_sphere(points, NOISE_MM), probing) is not None
     return found / trials
-
-
-def _five_touches(directions: np.ndarray) -> ProbingParameters:
-    chosen = ProcedureSettings()
-    limits = BallLimits(
-        *(
-            1e-3 * limit
-            for limit in (chosen.radius_limit_um, chosen.form_limit_um, chosen.touch_limit_um, chosen.pole_limit_um)
-        )
-    )
-    search = Search(chosen.approach_mm, chosen.search_mm)
-    return ProbingParameters(
-        directions=directions,
-        stylus_axis=STYLUS,
-        ball_radius_mm=RADIUS_MM - 2.0,
-        tip_radius_mm=2.0,
-        narrow_search=search,
-        wide_search=search,
-        feed_mm_per_s=5.0,
-        retract_mm=chosen.retract_mm,
-        touch_sigma_mm=NOISE_MM,
-        limits=limits,
-        recentre_mm=chosen.recentre_mm,
-        repeats=0,
-        stop_on_failure=False,
-    )
 
 
 def main() -> None:
@@ -125,7 +99,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=100)
     given = parser.parse_args()
     counts = count(range(given.seed, given.seed + given.machines), given.worse)
-    share = {f"{wrong:g}": round(found / counts.trials, 3) for wrong, found in counts.found.items()}
+    share = {f"{wrong:g}": round(found / counts.positions, 3) for wrong, found in counts.found.items()}
     five = {f"{wrong:g}": five_touch_power(wrong) for wrong in WRONG_UM}
     summary = {
         "positions": counts.positions,

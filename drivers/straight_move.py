@@ -26,15 +26,10 @@ def move_duration_s(
 
     No axis exceeds its own speed and acceleration.
     """
-    deltas = [abs(end - begin) for begin, end in zip(start_mm, target_mm, strict=True)]
-    length_mm = math.sqrt(sum(delta * delta for delta in deltas))
+    length_mm = math.dist(start_mm, target_mm)
     if length_mm == 0.0:
         return 0.0
-    components = [delta / length_mm for delta in deltas]
-    speed = limit_along_direction(components, rapid_mm_per_s)
-    acceleration = limit_along_direction(components, acceleration_mm_per_s2)
-    if feed_mm_per_s is not None:
-        speed = min(speed, feed_mm_per_s)
+    speed, acceleration = _limits_along(start_mm, target_mm, feed_mm_per_s, rapid_mm_per_s, acceleration_mm_per_s2)
     # Accelerating to v and braking again takes v²/a of path: a shorter move has a triangular profile, t = 2 √(s/a).
     if length_mm < speed * speed / acceleration:
         return 2.0 * math.sqrt(length_mm / acceleration)
@@ -44,26 +39,39 @@ def move_duration_s(
 
 def touch_duration_s(
     start_mm: Sequence[float],
-    trip_mm: Sequence[float],
+    target_mm: Sequence[float],
+    trip_mm: float,
     *,
-    feed_mm_per_s: float,
+    feed_mm_per_s: float | None,
     rapid_mm_per_s: Sequence[float],
     acceleration_mm_per_s2: Sequence[float],
 ) -> float:
-    """Return the duration in s of a touch that starts at `start_mm`, trips at `trip_mm` and brakes to a standstill.
+    """Return the duration in s of a touch from `start_mm` towards `target_mm` that trips after `trip_mm` and brakes to
+    a standstill.
 
     The axes accelerate to the feed, unless the probe trips earlier, and no axis exceeds its own limits.
     """
-    deltas = [abs(end - begin) for begin, end in zip(start_mm, trip_mm, strict=True)]
-    length_mm = math.sqrt(sum(delta * delta for delta in deltas))
-    if length_mm == 0.0:
+    if trip_mm == 0.0 or math.dist(start_mm, target_mm) == 0.0:
         return 0.0
-    components = [delta / length_mm for delta in deltas]
-    acceleration = limit_along_direction(components, acceleration_mm_per_s2)
-    speed = min(feed_mm_per_s, limit_along_direction(components, rapid_mm_per_s))
+    speed, acceleration = _limits_along(start_mm, target_mm, feed_mm_per_s, rapid_mm_per_s, acceleration_mm_per_s2)
     # Reached within the path: v² = 2as. The ramp up takes v/a, the rest s/v - v/(2a), and braking v/a.
-    speed = min(speed, math.sqrt(2.0 * acceleration * length_mm))
-    return length_mm / speed + 1.5 * speed / acceleration
+    speed = min(speed, math.sqrt(2.0 * acceleration * trip_mm))
+    return trip_mm / speed + 1.5 * speed / acceleration
+
+
+def _limits_along(
+    start_mm: Sequence[float],
+    target_mm: Sequence[float],
+    feed_mm_per_s: float | None,
+    rapid_mm_per_s: Sequence[float],
+    acceleration_mm_per_s2: Sequence[float],
+) -> tuple[float, float]:
+    """Return the largest speed and acceleration on the straight line between two different points."""
+    length_mm = math.dist(start_mm, target_mm)
+    components = [abs(end - begin) / length_mm for begin, end in zip(start_mm, target_mm, strict=True)]
+    speed = limit_along_direction(components, rapid_mm_per_s)
+    acceleration = limit_along_direction(components, acceleration_mm_per_s2)
+    return speed if feed_mm_per_s is None else min(speed, feed_mm_per_s), acceleration
 
 
 def distance_to_segment_mm(point_mm: Vector, start_mm: Vector, end_mm: Vector) -> float:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from agent.planning.planning_options import planning_options
 from agent.probing.ball_consistency import InconsistentBall
-from agent.probing.measured_balls import MeasuredBall, no_correction, observations_of
+from agent.probing.measured_balls import MeasuredBall, no_correction, numbered_together, observations_of
 from agent.probing.probing_parameters import ProbingParameters
 from agent.settings.schema import Settings
 from twin.collision.measuring_layout import MeasuringLayout
@@ -29,8 +29,7 @@ class PositionConsistency:
 
         The balls are compared as displayed, with the active table: its corrections vary as smoothly as the errors.
         """
-        numbered = [replace(ball, ball=ball.ball + self.layout.first_ball(ball.station)) for ball in balls]
-        seen = observations_of(numbered, self.layout.tool_offset_mm, no_correction)
+        seen = observations_of(numbered_together(balls, self.layout), self.layout.tool_offset_mm, no_correction)
         return tuple(
             InconsistentBall(balls[one.ball].ball, one.touch, one.deviation_mm * UM_PER_MM, one.limit_mm * UM_PER_MM)
             for one in self.touches.inconsistent(seen)

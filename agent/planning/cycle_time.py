@@ -112,11 +112,15 @@ def position_minutes(job: Job, position: Position) -> float:
     retreat = job.rules.retreat
     if retreat.path_rules is None:
         parked = point(retreat.park_location(job.layout.nominal(position).mean(axis=0), position.station))
-        _, steps = walk_plan(job, _there_and_back(job, position, parked), parked)
-    else:
-        planner = ShortestPathPlanner(retreat.path_rules.finder_for(job.layout), retreat, job.rules.probing)
-        here = planner.assume_measured(position.station)
-        _, steps = walk_plan(job, _one_more(job, position, here, planner), point(here))
+        return plan_minutes(job, _there_and_back(job, position, parked), parked)
+    planner = ShortestPathPlanner(retreat.path_rules.finder_for(job.layout), retreat, job.rules.probing)
+    here = planner.assume_measured(position.station)
+    return plan_minutes(job, _one_more(job, position, here, planner), point(here))
+
+
+def plan_minutes(job: Job, plan: Plan[object], start_mm: Point | None = None) -> float:
+    """Return the machine minutes of `plan` on an ideal machine, see `walk_plan`."""
+    _, steps = walk_plan(job, plan, start_mm)
     return sum(timed.seconds for timed in steps) / S_PER_MIN
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from agent.execution.steps import Plan, RunPlan
 from agent.planning.measuring_order import OrderOptimiser
 from agent.planning.time_model import time_model
-from agent.probing.measured_balls import MeasuredBall
+from agent.probing.measured_balls import MeasuredBall, numbered_together
 from agent.probing.position import PositionRules
 from agent.probing.preparation import Preparation, PreparationResult, prepare_probe
 from agent.probing.repeated_positions import RepeatRules
@@ -235,12 +235,13 @@ class Job:
         position is included.
         """
         kept_out = {(p.station, p.azimuth_deg, p.elevation_deg) for p in self.held_out}
-        return [
-            replace(ball, ball=ball.ball + self.layout.first_ball(ball.station))
+        chosen = (
+            ball
             for position in measured.positions
             for ball in (position.all_balls if again else position.balls)
             if ((ball.station, ball.azimuth_deg, ball.elevation_deg) in kept_out) is held_out
-        ]
+        )
+        return numbered_together(chosen, self.layout)
 
 
 def _hidden_um(both: StepVisibility, once: int, again: list[int]) -> float:

@@ -200,7 +200,7 @@ class _Ball:
         return cleaned, points, None if cleaned is None else self._gate(cleaned)
 
     def _gate(self, fit: SphereFit) -> FailedGate | None:
-        return first_failed_gate(fit, self._probing) if self._probing.determines_radius else None
+        return first_failed_gate(fit, self._probing)
 
     def _distance_mm(self, fit: SphereFit) -> float:
         return float(np.linalg.norm(fit.centre - self._centre))

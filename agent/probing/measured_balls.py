@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from agent.thermal.machine_drift import RunDrift
 from agent.thermal.readings import Conditions
 from twin.arrays import Array
 from twin.artefact.observations import Observations
+from twin.collision.measuring_layout import MeasuringLayout
 from twin.thermal.readings import smooth_readings
 
 Correction = Callable[[Array], Array]
@@ -85,6 +86,12 @@ def observations_of(
         tool_offsets=tool_offset_mm.reshape(1, 3),
         thermal_regressors=np.zeros((len(balls), 0)) if drift is None else drift.regressors,
     )
+
+
+def numbered_together(balls: Iterable[MeasuredBall], layout: MeasuringLayout) -> list[MeasuredBall]:
+    """Return the balls with the numbers that observations use: those of all stations together, if each station has an
+    artefact of its own."""
+    return [replace(ball, ball=ball.ball + layout.first_ball(ball.station)) for ball in balls]
 
 
 def no_correction(displayed: Array) -> Array:

@@ -14,7 +14,7 @@ from agent.results.decision_kinds import INPUTS, OUTCOME
 from agent.results.run_time import LearnedLatency
 from agent.runs.complete_runs import CompleteRun, complete_runs
 from agent.runs.run_forecast import ENOUGH
-from agent.settings.schema import TimingSettings
+from agent.settings.schema import Settings, TimingSettings
 
 
 @dataclass(frozen=True)
@@ -55,8 +55,17 @@ def _enough(latencies: Iterable[LearnedLatency]) -> tuple[LearnedLatency, ...]:
 def _permitted(suggested: Mapping[str, float]) -> dict[str, float]:
     """Return the latencies, each at most as long as the settings may state. A person may have taken longer, for whom
     nobody waits in a forecast."""
-    longest = {"command_latency_s": 60.0, "touch_latency_s": 60.0, "turn_latency_s": 600.0, "relocation_minutes": 600.0}
-    return {name: min(value, longest[name]) for name, value in suggested.items()}
+    return {name: min(value, _longest(name)) for name, value in suggested.items()}
+
+
+def _longest(name: str) -> float:
+    """Return the upper limit that the settings set to the value `name` of the section `timing`."""
+    return min(float(one.le) for one in TimingSettings.model_fields[name].metadata if hasattr(one, "le"))
+
+
+def prepare_next_job(settings: Settings, base: Path) -> Job:
+    """Prepare the job of the next run, with the latencies of the last one, see `with_learned_latencies`."""
+    return with_learned_latencies(prepare_job(settings, base), base)
 
 
 def with_learned_latencies(job: Job, base: Path) -> Job:

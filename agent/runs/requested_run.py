@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from agent.planning.job import Job
-from agent.planning.job_preparation import prepare_job
 from agent.runs.consent import Consent
 from agent.runs.kinds.calibrate import FullCalibration
 from agent.runs.kinds.nightly import Night
 from agent.runs.kinds.verify import Verification
-from agent.runs.last_latencies import with_learned_latencies
+from agent.runs.last_latencies import prepare_next_job
 from agent.runs.planned_run import Kind
 from agent.runs.run_request import RunRequest
 from agent.settings.load import with_overrides
@@ -26,7 +25,7 @@ def job_of(request: RunRequest, settings: Settings, base: Path) -> Job:
     """
     stations = request.stations if request.kind == "calibrate" else None
     overridden = with_overrides(settings, position_set=request.position_set, stations=stations)
-    return with_learned_latencies(prepare_job(overridden, base), base)
+    return prepare_next_job(overridden, base)
 
 
 def kind_of(request: RunRequest, *, slot_minutes: float | None = None, nights: float | None = None) -> Kind:

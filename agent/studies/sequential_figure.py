@@ -73,7 +73,8 @@ def _draw_coverage(axes: Axes, coverage: Mapping[str, Mapping[str, ObservedCover
         )
     axes.axvline(groups.index("all") - 0.5, color=INK, linewidth=0.7)
     axes.set_xticks(np.arange(len(groups)), groups, rotation=30)
-    axes.set_ylim(_LOWEST, 101.0)
+    observed = [100.0 * one.observed for shares in coverage.values() for one in shares.values()]
+    axes.set_ylim(min(_LOWEST, *observed) - 1.0, 101.0)
     axes.set_ylabel("true VCE within its stated limits / %")
     axes.set_title("Coverage at the end of the run")
     axes.grid(visible=False, axis="x")

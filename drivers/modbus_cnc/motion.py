@@ -224,14 +224,13 @@ class ModbusMotion:
         """Return the time in s after which the motion is expected to end: for a touch, the time in which the probe
         trips after the same distance as in the last touch of this length. Balls are found where they are expected to
         hundredths of a millimetre, so that the first poll then mostly shows the end."""
-        length_mm, trip_mm = math.dist(start, target), self._trips_mm.get(_rounded_length(start, target))
-        if code is not CommandCode.TOUCH or trip_mm is None or feed_mm_per_s is None or length_mm == 0.0:
+        trip_mm = self._trips_mm.get(_rounded_length(start, target))
+        if code is not CommandCode.TOUCH or trip_mm is None:
             return predicted_s
-        share = trip_mm / length_mm
-        trip = [begin + share * (end - begin) for begin, end in zip(start, target, strict=True)]
         expected_s = touch_duration_s(
             start,
-            trip,
+            target,
+            trip_mm,
             feed_mm_per_s=feed_mm_per_s,
             rapid_mm_per_s=self._limits.rapid_mm_per_s,
             acceleration_mm_per_s2=self._limits.acceleration_mm_per_s2,

@@ -7,6 +7,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from aloud import NOT_HERE
 from namespaces import on_small_disk, small_disk_missing
 from service_process import short_settings, simulator
 from simulated import COMMAND, PATIENCE_S
@@ -17,7 +18,7 @@ def test_a_full_disk_is_a_faulted_run_with_its_first_cause(tmp_path: Path, size:
     state = tmp_path / "state"
     state.mkdir()
     if absent := small_disk_missing(state):
-        pytest.skip(absent)
+        pytest.skip(f"{NOT_HERE}: a run on a disk that becomes full: {absent}")
     with simulator(tmp_path) as (_, ready):
         config = short_settings(ready, tmp_path)
         command = [*COMMAND, "calibrate", "--config", str(config), "--json"]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from campaigns.touch_check import count, five_touch_power, positions_of
-from twin.identification.checks.touch_consistency import LEAST_LEFT
+from twin.artefact.position_set import CHECKABLE_BALLS
 
 SEEDS = range(100, 104)
 
@@ -16,15 +16,15 @@ SEEDS = range(100, 104)
 def test_wrong_touches_are_found_that_five_touches_of_a_ball_do_not_show() -> None:
     counts = count(SEEDS, worse=1.0)
     assert counts.alarms <= 1
-    assert counts.found[15.0] >= 0.95 * counts.trials > five_touch_power(15.0) * counts.trials
-    assert counts.found[30.0] == counts.trials
-    assert counts.others <= 0.02 * len(counts.found) * counts.trials
+    assert counts.found[15.0] >= 0.95 * counts.positions > five_touch_power(15.0) * counts.positions
+    assert counts.found[30.0] == counts.positions
+    assert counts.others <= 0.02 * len(counts.found) * counts.positions
 
 
 def test_a_machine_ten_times_worse_than_its_family_raises_few_false_alarms() -> None:
     counts = count(SEEDS, worse=10.0)
     assert counts.alarms <= 0.03 * counts.positions
-    assert counts.found[50.0] >= 0.9 * counts.trials
+    assert counts.found[50.0] >= 0.9 * counts.positions
 
 
 def test_two_wrong_balls_are_both_found() -> None:
@@ -44,7 +44,7 @@ def test_two_wrong_balls_are_both_found() -> None:
 
 def test_few_balls_cannot_be_checked() -> None:
     seen, check = next(positions_of(201, 1.0))
-    few = seen.select(np.arange(LEAST_LEFT))
+    few = seen.select(np.arange(CHECKABLE_BALLS - 1))
     moved = few.axis_positions.copy()
     moved[0] += 1.0 * check.directions[0]
     assert check.inconsistent(replace(few, axis_positions=moved)) == ()

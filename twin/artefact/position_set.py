@@ -19,6 +19,10 @@ from twin.errors import DataError, TwinError
 MIN_BALLS = 3
 """Minimum number of balls per position. Fewer balls give no information, since the pose has six unknowns."""
 
+CHECKABLE_BALLS = 5
+"""Smallest number of balls of a position among which a wrong one can be told from the others: without it, one ball more
+than the pose needs remains."""
+
 SPACE_DIAGONAL_DEG = 35.264
 """Elevation in degrees of the space diagonal of a cube, atan(1/√2)."""
 

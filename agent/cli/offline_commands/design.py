@@ -137,9 +137,9 @@ def design_command(
     files = write_design(best.result, rivals, out)
     seconds = wall_seconds() - started
     if as_json:
-        click.echo(json.dumps(_document(job, choices, best, rivals, files, seconds), allow_nan=False))
+        click.echo(json.dumps(_document(choices, best, rivals, files, seconds), allow_nan=False))
     else:
-        _show(job, choices, best, rivals, files, seconds)
+        _show(choices, best, rivals, files, seconds)
 
 
 def _goal(slot: float | None, positions: int | None, target_vce: float | None) -> Goal:
@@ -190,12 +190,7 @@ def _worth(found: DesignResult) -> dict[str, object]:
 
 
 def _document(
-    job: Job,
-    choices: list[VariantDesign],
-    best: VariantDesign,
-    rivals: list[ReferenceSet],
-    files: list[Path],
-    seconds: float,
+    choices: list[VariantDesign], best: VariantDesign, rivals: list[ReferenceSet], files: list[Path], seconds: float
 ) -> dict[str, object]:
     found = best.result
     phases = found.minutes_by_phase.as_json()
@@ -205,7 +200,7 @@ def _document(
         "positions": [_as_json(position) for position in found.positions],
         **_worth(found),
         "minutes_by_phase": phases,
-        "latencies_from_run": job.latencies_from or None,
+        "latencies_from_run": found.problem.job.latencies_from or None,
         "held_out": [_as_json(position) for position in found.held_out],
         "candidates": found.problem.candidates.count,
         "rehearsed": found.preflight_passed,
@@ -231,12 +226,7 @@ def _variant(choice: VariantDesign) -> dict[str, object]:
 
 
 def _show(
-    job: Job,
-    choices: list[VariantDesign],
-    best: VariantDesign,
-    rivals: list[ReferenceSet],
-    files: list[Path],
-    seconds: float,
+    choices: list[VariantDesign], best: VariantDesign, rivals: list[ReferenceSet], files: list[Path], seconds: float
 ) -> None:
     found, console = best.result, results_console()
     console.print(subject(found.problem.job.machine.name, found.problem.job.artefact.name), markup=False)
@@ -250,7 +240,7 @@ def _show(
         ),
         ("machine time", f"{found.minutes:.1f} min for the whole run"),
         ("of which", found.minutes_by_phase.text),
-        ("with the latencies", job.latencies_text),
+        ("with the latencies", found.problem.job.latencies_text),
         ("VE expected", f"{volumetric.before.aligned_um:.2f} µm aligned"),
         ("VCE expected", f"{volumetric.after.aligned_um:.2f} µm aligned"),
         ("valuation", f"{volumetric.percent:.1f} % of the volumetric error removed"),

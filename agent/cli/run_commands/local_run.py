@@ -5,7 +5,6 @@ from __future__ import annotations
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 
@@ -49,8 +48,8 @@ def run_here(request: RunRequest, settings: Settings, base: Path, *, nights: flo
 def calibrate_here(settings: Settings, base: Path, end: SequentialOptions) -> RunResult:
     """Carry out a calibration in this process and with a progress bar on stderr, as `run_here`. `end` says whether its
     positions are chosen one after the other, and when the measurement ends."""
-    kind = replace(
-        FullCalibration(consent=Consent.ASK),
+    kind = FullCalibration(
+        consent=Consent.ASK,
         sequential=end.sequential,
         target_vce_um=end.target_vce_um,
         slot_minutes=end.slot_minutes,

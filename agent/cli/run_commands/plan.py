@@ -30,7 +30,6 @@ if will_run():
     from agent.planning.cycle_time import PARTS, minutes_by_part, without_optimisation
     from agent.planning.design.set_valuation import valuation_of
     from agent.planning.job import Job
-    from agent.planning.job_preparation import prepare_job
     from agent.planning.preflight import PreflightResult
     from agent.planning.run_minutes import minutes_by_phase, run_minutes
     from agent.probing.run_plan import position_key
@@ -42,7 +41,7 @@ if will_run():
     from agent.runs.kinds.night_plan import station_of
     from agent.runs.kinds.verification_power import VerificationPower, verification_power
     from agent.runs.last_homing import after_homing
-    from agent.runs.last_latencies import with_learned_latencies
+    from agent.runs.last_latencies import prepare_next_job
     from agent.settings.load import load_settings, naming, with_overrides
     from twin.design.valuation import Valuation
     from twin.identification.hidden_step import HiddenStep
@@ -85,7 +84,7 @@ def plan_command(
     )
     with naming(config):
         base = config.resolve().parent
-        job = with_learned_latencies(prepare_job(settings, base), base)
+        job = prepare_next_job(settings, base)
         if verified_at is not None:
             station_of(job, verified_at)
         gates = forecast_gates(job)

@@ -17,11 +17,10 @@ if will_run():
     from agent.cli.printing import facts_table, results_console
     from agent.cli.run_commands.local_run import carry_out_here
     from agent.cli.run_commands.run_summary import time_rows
-    from agent.planning.job_preparation import prepare_job
     from agent.results.run_outcome import Outcome
     from agent.results.trial_report import TrialReport
     from agent.runs.kinds.trial import OneBallTrial, with_checks
-    from agent.runs.last_latencies import with_learned_latencies
+    from agent.runs.last_latencies import prepare_next_job
     from agent.settings.load import load_settings, naming, with_overrides
 
 FEWEST_HOMINGS, MOST_HOMINGS = 3, 30
@@ -63,7 +62,7 @@ def try_command(
     )
     base = config.resolve().parent
     with naming(config):
-        job = with_learned_latencies(prepare_job(with_checks(settings), base), base)
+        job = prepare_next_job(with_checks(settings), base)
         ended = carry_out_here(job, OneBallTrial(homings=homings or 0), base)
     if as_json:
         click.echo(json.dumps(ended.outcome.as_json(), allow_nan=False))

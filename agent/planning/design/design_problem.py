@@ -15,7 +15,7 @@ from agent.planning.held_out_positions import LazyHeldOut
 from agent.planning.job import HeldOutChoice, Job, KnownHeldOut, Planner
 from agent.planning.planning_options import planning_options
 from agent.planning.run_minutes import PHASES, PREPARATION, RunMinutes, held_out_keys, phase_of, run_minutes, run_steps
-from twin.artefact.position_set import Position
+from twin.artefact.position_set import CHECKABLE_BALLS, Position
 from twin.design.candidates import CandidatePositions, build_candidates, orientation_grid, spread_balls
 from twin.design.measuring_cost import MeasuringCosts
 from twin.design.procedure import Procedure
@@ -23,9 +23,6 @@ from twin.design.search import ExchangeSearch
 from twin.identification import Options
 from twin.machine.volumetric import evaluation_grid
 from twin.units import S_PER_MIN
-
-LEAST_BALLS = 4
-"""Least number of balls of a position of which a share is measured: one more than the pose of the artefact needs."""
 
 _TOOL_STRIDE = 10_000  # each tool is a run of its own, so its stations cost carries of their own
 
@@ -36,11 +33,11 @@ class DesignProblem:
     can be measured.
 
     `jobs` maps the name of each tool to the job with that tool; the tool of the settings is the first. `grid_deg` is
-    the spacing of the candidate orientations of the artefact in degrees. Of the balls of each
-    position within reach, the share `ball_share` is measured. `plan_of` returns the plan of the run for
-    which the positions are chosen; all minutes are those of this plan. `refused` contains the positions that a
-    preflight has refused. `feasibility` maps the name of a tool to the feasibility check with that tool; the checks
-    remain valid if further positions are refused.
+    the spacing of the candidate orientations of the artefact in degrees. `plan_of` returns the plan of the run for
+    which the positions are chosen; all minutes are those of this plan. Of the balls of each position within reach, the
+    share `ball_share` is measured. `refused` contains the positions that a preflight has refused. `feasibility` maps
+    the name of a tool to the feasibility check with that tool; the checks remain valid if further positions are
+    refused.
     """
 
     jobs: Mapping[str, Job]
@@ -198,10 +195,12 @@ class DesignProblem:
 
     def _with_share(self, tool: str, position: Position) -> Position:
         """Return `position` with the share of its balls within reach that is to be measured, spread over the artefact.
-        At least `LEAST_BALLS` balls remain."""
+        At least `CHECKABLE_BALLS` balls remain."""
+        if self.ball_share == 1.0:
+            return position
         layout = self.jobs[tool].layout
         within_reach = np.flatnonzero(layout.reachable(position, layout.nominal(position))).tolist()
-        count = max(LEAST_BALLS, round(self.ball_share * len(within_reach)))
+        count = max(CHECKABLE_BALLS, round(self.ball_share * len(within_reach)))
         if count >= len(within_reach):
             return position
         centres = layout.artefact_at(position.station).balls

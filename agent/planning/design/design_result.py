@@ -233,14 +233,7 @@ class VariantDesign:
 
 
 def compare_variants(
-    variants: Sequence[Variant],
-    goal: Goal,
-    grid_deg: float,
-    plan_of: Planner,
-    *,
-    verify: bool,
-    prove: Prove,
-    say: Say,
+    variants: Sequence[Variant], goal: Goal, grid_deg: float, plan_of: Planner, *, verify: bool, prove: Prove, say: Say
 ) -> list[VariantDesign]:
     """Return a designed position set for each variant, and mark the best design. `plan_of` returns the plan of the run
     for which the positions are chosen, and `prove` carries out its preflight.

@@ -25,6 +25,9 @@ from twin.collision.accessibility import AT_CONTACT_MM, measuring_scene
 from twin.collision.bodies import TIP, ball_name
 from twin.collision.collision import Scene
 from twin.collision.geometry import Point, translate_point
+from twin.design.candidates import CandidatePositions
+from twin.design.measuring_cost import MeasuringCosts
+from twin.design.search import ExchangeSearch
 
 CLEARANCE_MM = 1.0
 """Minimum clearance of every move from all bodies, because a mount is never exactly at its nominal location."""
@@ -55,6 +58,20 @@ class FeasibilityCheck:
         if key not in self._minutes:
             self._minutes[key] = position_minutes(self.job, position)
         return self._minutes[key]
+
+    def search_among(
+        self, candidates: CandidatePositions, *, standing_at: int | None, carry_minutes: float = 0.0
+    ) -> ExchangeSearch:
+        """Return the search for the best of `candidates` that can be measured, with the time of each. The artefact
+        stands at the station `standing_at` first, and a change of station takes `carry_minutes`."""
+        positions = candidates.positions
+        costs = MeasuringCosts(
+            minutes=np.array([self.minutes(position) for position in positions]),
+            stations=np.array([position.station for position in positions]),
+            carry_minutes=carry_minutes,
+            standing_at=standing_at,
+        )
+        return ExchangeSearch(candidates, costs, lambda index: not self.hit(positions[index]))
 
     def hit(self, position: Position) -> str:
         """Return a text that names the two bodies of the first collision in the plan for measuring `position`.

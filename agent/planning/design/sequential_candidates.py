@@ -15,7 +15,7 @@ import numpy as np
 
 from agent.execution.steps import Plan
 from agent.files import translated
-from agent.planning.cycle_time import walk_plan
+from agent.planning.cycle_time import plan_minutes
 from agent.planning.design.feasibility import FeasibilityCheck
 from agent.planning.job import Job
 from agent.planning.measuring_order import AT_REST_DEG
@@ -25,10 +25,9 @@ from agent.planning.time_model import TimeModel, time_model
 from agent.probing.run_plan import MeasuredPositions, MeasuringOrder, measure_positions
 from drivers.errors import ConfigurationError
 from twin.arrays import Array
-from twin.artefact.position_set import Position
+from twin.artefact.position_set import CHECKABLE_BALLS, Position
 from twin.design.candidates import build_candidates, orientation_grid
-from twin.design.measuring_cost import MeasuringCosts
-from twin.design.search import ExchangeSearch, Mask, Selection
+from twin.design.search import Mask, Selection
 from twin.design.sequential import OrderModel, PositionsSeen, ranked_choices
 from twin.identification import Options
 from twin.identification.order import ORDERS
@@ -43,10 +42,6 @@ GRID_DEG = 30.0
 
 MIN_POSITIONS = 6
 """Smallest number of positions from which a sequential calibration may end because its target is reached."""
-
-MIN_BALLS_OF_CANDIDATE = 5
-"""Smallest number of balls of a candidate, if the artefact has that many. Positions of fewer balls take little time,
-but a wrong ball in them could not be told from the others."""
 
 LEAST_CARRY_MIN = 1.0
 """Least time in min for which a person who carries the artefact counts in a choice, whatever the settings state."""
@@ -66,7 +61,9 @@ class SequentialCandidates:
     def positions(self) -> tuple[Position, ...]:
         """Candidate positions, sorted by station, azimuth and elevation. Each has been checked for collisions.
 
-        They are the positions that a design for a run of any length would choose first. Raises ConfigurationError if no
+        They are the positions that a design for a run of any length would choose first. Positions of few balls take
+        little time, but a wrong ball in them could not be told from the others; they are left out, unless the artefact
+        has no more balls. Raises ConfigurationError if no
         position can be measured.
         """
         job, held_out = self.job, set(self.job.held_out)
@@ -76,14 +73,10 @@ class SequentialCandidates:
         with translated(ConfigurationError, key="stations.places_mm"):
             field, options = self._field, planning_options(job.settings.temperature)
             every = build_candidates(job.procedure, offered, job.machine.family, options, field, job.tool_offset_mm)
-        costs = MeasuringCosts(
-            minutes=np.array([self._feasibility.minutes(position) for position in every.positions]),
-            stations=np.array([position.station for position in every.positions]),
-            carry_minutes=self._carry_s() / S_PER_MIN,
-            standing_at=job.settings.stations.standing_at,
+        search = self._feasibility.search_among(
+            every, standing_at=job.settings.stations.standing_at, carry_minutes=self._carry_s() / S_PER_MIN
         )
-        search = ExchangeSearch(every, costs, lambda index: not self._feasibility.hit(every.positions[index]))
-        redundant: Mask = every.balls >= min(MIN_BALLS_OF_CANDIDATE, job.artefact.count)
+        redundant: Mask = every.balls >= min(CHECKABLE_BALLS, job.artefact.count)
         grown = search.grow(Selection.of(every), lambda _: redundant, per_minute=True)
         chosen = [selection.chosen[-1] for selection in islice(grown, self.count)]
         if not chosen:
@@ -140,8 +133,7 @@ class SequentialCandidates:
         """Return the machine minutes from the end of the measurement at `station` to the end of the run: the held-out
         positions before and after the new table is active."""
         if station not in self._tails:
-            _, steps = walk_plan(self.job, held_out_and_proof(self.job, station))
-            self._tails[station] = sum(timed.seconds for timed in steps) / S_PER_MIN
+            self._tails[station] = plan_minutes(self.job, held_out_and_proof(self.job, station))
         return self._tails[station]
 
     def planned(self, minutes: float, standing: Standing | None) -> tuple[Position, ...]:

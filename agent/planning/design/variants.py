@@ -84,4 +84,11 @@ def _job(job: Job, base: Path, tool: str, touches: int, artefact: Artefact) -> J
     procedure = chosen.model_copy(update={"touches_per_ball": touches})
     own = prepare_job(job.settings.model_copy(update={"procedure": procedure, "tool": tool}), base)
     preparation = replace(own.preparation, layout=replace(own.preparation.layout, artefact=artefact))
-    return replace(own, artefact=artefact, layout=replace(own.layout, artefact=artefact), preparation=preparation)
+    return replace(
+        own,
+        artefact=artefact,
+        layout=replace(own.layout, artefact=artefact),
+        preparation=preparation,
+        latencies_from=job.latencies_from,
+        stated_timing=job.stated_timing,
+    )

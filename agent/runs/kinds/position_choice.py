@@ -18,7 +18,6 @@ from drivers.errors import ConfigurationError
 from twin.arrays import Array
 from twin.artefact.position_set import MIN_BALLS, Position
 from twin.design.candidates import build_candidates, orientation_grid
-from twin.design.measuring_cost import MeasuringCosts
 from twin.design.search import ExchangeSearch, Selection
 from twin.identification import CarriedOverPrior, Options
 from twin.identification.jump import SuspectedJump
@@ -167,12 +166,7 @@ class PositionChooser:
         with translated(ConfigurationError, key="stations.places_mm"):
             candidates = build_candidates(job.procedure, positions, machine.family, options, grid, job.tool_offset_mm)
         index_of = {position: index for index, position in enumerate(candidates.positions)}
-        costs = MeasuringCosts(
-            minutes=np.array([self.feasibility.minutes(position) for position in candidates.positions]),
-            stations=np.array([position.station for position in candidates.positions]),
-            standing_at=self.station,
-        )
-        search = ExchangeSearch(candidates, costs, lambda index: not self.feasibility.hit(candidates.positions[index]))
+        search = self.feasibility.search_among(candidates, standing_at=self.station)
         return search, [index_of[position] for position in positions if position in index_of]
 
     def _offered(self) -> list[Position]:

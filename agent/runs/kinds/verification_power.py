@@ -8,12 +8,12 @@ one night.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
 from agent.execution.steps import Plan
-from agent.planning.cycle_time import walk_plan
+from agent.planning.cycle_time import plan_minutes
 from agent.planning.job import Job
 from agent.probing.run_plan import MeasuredPositions, measure_positions, position_key
 from agent.runs.change_since_reference import night_noise
@@ -29,7 +29,6 @@ from twin.machine.error_model import SQUARENESS, ErrorModel
 from twin.machine.forward_model import deviation_basis
 from twin.machine.volumetric import evaluation_grid
 from twin.monitoring.step_power import FALSE_ALARM, POWER, ROTATIONS, SmallestStep, StepPower
-from twin.units import S_PER_MIN
 
 SOUGHT_URAD = 10.0
 """Step in µrad of a squareness or rotation for which the fewest positions are sought."""
@@ -59,7 +58,7 @@ class FoundSteps:
             "positions": [position_key(position) for position in self.positions],
             "machine_minutes": round(self.machine_minutes, 3),
             "step_evidence": round(self.evidence, 3),
-            "steps": [{"error": one.error, "size": one.size, "unit": one.unit} for one in self.steps],
+            "steps": [asdict(step) for step in self.steps],
         }
 
 
@@ -99,7 +98,7 @@ class VerificationPower:
             "as_set": {
                 "step_evidence": self.set_evidence,
                 "false_alarm": self.set_false_alarm,
-                "steps": [{"error": one.error, "size": one.size, "unit": one.unit} for one in self.as_set],
+                "steps": [asdict(step) for step in self.as_set],
             },
             "by_positions": [one.as_json() for one in self.by_positions],
             "sought_urad": SOUGHT_URAD,
@@ -122,7 +121,7 @@ def verification_power(job: Job, station: int) -> VerificationPower:
     more = chooser.detecting_jumps(prior, chosen.check_positions + _MORE, plan.held_out)
     counts = range(1, len(more) + 1)
     evidence = chosen.step_evidence
-    power = chooser.step_power(prior, plan.first)
+    power = study.power(plan.first)
     return VerificationPower(
         station=station,
         since="" if reference is None else reference.run_id,
@@ -144,12 +143,18 @@ class _PowerStudy:
     chooser: PositionChooser
     prior: CarriedOverPrior
     no_effect: tuple[str, ...]
+    _powers: dict[tuple[Position, ...], StepPower] = field(default_factory=dict, init=False, repr=False)
+
+    def power(self, positions: tuple[Position, ...]) -> StepPower:
+        if positions not in self._powers:
+            self._powers[positions] = self.chooser.step_power(self.prior, positions)
+        return self._powers[positions]
 
     def steps(self, power: StepPower, evidence: float) -> tuple[SmallestStep, ...]:
         return tuple(one for one in power.smallest_of_each(evidence) if one.error not in self.no_effect)
 
     def found(self, plan: NightPlan) -> FoundSteps:
-        power = self.chooser.step_power(self.prior, plan.first)
+        power = self.power(plan.first)
         evidence = power.evidence_for(FALSE_ALARM)
         return FoundSteps(plan.first, _minutes(self.chooser.job, plan), evidence, self.steps(power, evidence))
 
@@ -159,7 +164,7 @@ class _PowerStudy:
         sought = [error for error in errors if error not in self.no_effect]
         ranked = self.chooser.finding_steps(self.prior, dict.fromkeys(sought, SOUGHT_URAD))
         for count in range(1, len(ranked) + 1):
-            power = self.chooser.step_power(self.prior, ranked[:count])
+            power = self.power(ranked[:count])
             evidence = power.evidence_for(FALSE_ALARM)
             if all(power.power(error, SOUGHT_URAD, evidence) >= POWER for error in sought):
                 return self.found(NightPlan(self.chooser.station, (), ranked[:count]))
@@ -189,8 +194,8 @@ def _errors_without_effect(model: ErrorModel, tool_offset_mm: Array) -> tuple[st
 
 
 def _minutes(job: Job, plan: NightPlan) -> float:
-    _, steps = walk_plan(plan.job(job), _check(plan.job(job), plan))
-    return sum(timed.seconds for timed in steps) / S_PER_MIN
+    own = plan.job(job)
+    return plan_minutes(own, _check(own, plan))
 
 
 def _check(job: Job, plan: NightPlan) -> Plan[MeasuredPositions]:

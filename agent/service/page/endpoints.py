@@ -16,7 +16,7 @@ from agent.planning.job_preparation import prepare_job
 from agent.reports.render_in_subprocess import render_in_subprocess
 from agent.runs.kinds.calibrate import calibration_of
 from agent.runs.kinds.restoration import TableRole, stored_table
-from agent.runs.last_latencies import with_learned_latencies
+from agent.runs.last_latencies import prepare_next_job
 from agent.service.http.app_state import AppStateDependency
 from agent.service.http.problems import DOCUMENTED
 from agent.service.page.result_cache import ResultCache
@@ -80,8 +80,7 @@ def page_router() -> APIRouter:
     @router.get("/worth")
     def worth(app_state: AppStateDependency) -> Document:
         """Return the position set of the settings, its expected benefit, and the loss if each position were omitted."""
-        base = app_state.config.parent
-        return set_values.document(with_learned_latencies(prepare_job(app_state.settings(), base), base))
+        return set_values.document(prepare_next_job(app_state.settings(), app_state.config.parent))
 
     @router.get("/tables/{run_id}/{role}.csv")
     def table(app_state: AppStateDependency, run_id: str, role: TableRole) -> Response:

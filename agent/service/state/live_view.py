@@ -14,13 +14,12 @@ from typing import Any
 from agent.execution.steps import AskOperator, MoveTo, OrientTo, TouchTowards
 from agent.planning.cycle_time import TimedStep
 from agent.planning.job import Job
-from agent.planning.job_preparation import prepare_job
 from agent.planning.preflight import PreflightResult
 from agent.planning.preview.blob import document
 from agent.planning.preview.builder import preview_of
 from agent.planning.preview.tip_path import Waypoint, standing_after
 from agent.runs.kinds.calibrate import calibration_of
-from agent.runs.last_latencies import with_learned_latencies
+from agent.runs.last_latencies import prepare_next_job
 from agent.settings.schema import Settings
 from twin.artefact.position_set import Position
 from twin.collision.geometry import point, translate_point
@@ -81,7 +80,7 @@ def machine_facts(job: Job) -> Document:
 
 
 def _document_of_next(settings: Settings, base: Path) -> Document:
-    return document(preview_of(with_learned_latencies(prepare_job(settings, base), base), calibration_of))
+    return document(preview_of(prepare_next_job(settings, base), calibration_of))
 
 
 def _document_of_run(job: Job, preflight: PreflightResult) -> Document:

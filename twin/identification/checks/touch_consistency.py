@@ -17,6 +17,7 @@ from scipy.special import ndtri
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
+from twin.artefact.position_set import CHECKABLE_BALLS
 from twin.identification.options import Options
 from twin.identification.poses import pose_jacobian
 from twin.identification.problem import build_problem
@@ -27,8 +28,6 @@ POSE_SIGMA_MM = 1.0
 effect, and low enough to keep the covariance well conditioned."""
 MACHINE_SCALES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """Factors by which the errors of the machine may exceed the prior of its family."""
-LEAST_LEFT = 4
-"""Number of balls that must remain when inconsistent balls are left out: one more than a pose needs."""
 
 
 @dataclass(frozen=True)
@@ -89,11 +88,11 @@ class TouchConsistency:
         """Return the worst touch of each of the measured balls of one position that do not fit the others, the worst
         ball first.
 
-        One ball after the other is left out, since a wrong touch also spoils the prediction of its neighbours. At
-        least `LEAST_LEFT` balls remain; fewer balls cannot be checked.
+        One ball after the other is left out, since a wrong touch also spoils the prediction of its neighbours. Fewer
+        than `CHECKABLE_BALLS` balls cannot be checked.
         """
         left, found = np.arange(seen.size), list[InconsistentTouch]()
-        while len(left) > LEAST_LEFT:
+        while len(left) >= CHECKABLE_BALLS:
             deviations_mm, standardised = self.deviations(seen.select(left))
             place, touch = np.unravel_index(np.abs(standardised).argmax(), standardised.shape)
             ratio = abs(float(standardised[place, touch])) / self.limit(len(left))
