@@ -49,6 +49,7 @@ from drivers.errors import InputError
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
 from twin.formats.estimate_file import StoredEstimate, parse_estimate
+from twin.monitoring.step_power import SmallestStep
 
 TITLES = {"calibrate": "Calibration", "verify": "Verification", "nightly": "Night", "try": "Trial of one ball"}
 GOOD = (Decision.WITHIN, Decision.FUSED, Decision.WRITTEN, Decision.FULL_DONE)
@@ -343,6 +344,10 @@ def night_facts(record: RunRecord) -> NightFacts | None:
     )
 
 
+def _found_step(step: Mapping[str, Any]) -> str:
+    return f"{SmallestStep(**step).text}, with a probability of 95 %"
+
+
 def _night_rows(night: Mapping[str, Any]) -> list[tuple[str, str]]:
     held_out, expected = _um(night["held_out_um"]), _um(night["held_out_predicted_um"])
     chi2 = night["chi2_normalised"]
@@ -354,6 +359,7 @@ def _night_rows(night: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("VE with an updated table", _um(night["ve_after_um"])),
         ("Held-out balls, rms", f"{held_out}, expected {expected}"),
         ("Consistency with the prediction", "–" if chi2 is None else f"normalised χ² {fixed(chi2, 2)}"),
+        *([("Finds a step of any squareness by", _found_step(night["finds"]))] if night.get("finds") else []),
         ("Abrupt changes", _error_changes(night["jumped"]) or "none"),
         ("Most likely cause", _error_changes(night["likeliest"]) or "–"),
         *([("If one error changed", _possible_changes(night["alternatives"]))] if night.get("alternatives") else []),

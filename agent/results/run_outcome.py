@@ -17,6 +17,7 @@ from agent.results.trial_report import TrialReport
 from twin.artefact.effect_test import NO_GAIN, REQUIRED_POWER
 from twin.monitoring.constant_drift import FoundDrift
 from twin.monitoring.step_detection import PossibleJump
+from twin.monitoring.step_power import SmallestStep
 
 
 @dataclass(frozen=True)
@@ -119,7 +120,7 @@ class SuspectedError:
         return f"{self.error} changed by {self.change:+.1f} {self.unit}"
 
 
-_OBJECTS = ("decision", "jumped", "likeliest", "alternatives", "drift")
+_OBJECTS = ("decision", "jumped", "likeliest", "alternatives", "drift", "finds")
 """Fields of a night whose JSON is not their value."""
 
 
@@ -146,6 +147,9 @@ class NightReport:
     probabilities; it is empty if `jumped` is.
 
     `drift` is the drift of one error in one direction that a fused night and those before show; None if there is none.
+
+    `finds` is the smallest step of a squareness that a verification finds with 95 %, of the squareness that it finds
+    worst; None for a night.
     """
 
     decision: Decision
@@ -167,6 +171,7 @@ class NightReport:
     likeliest: tuple[SuspectedError, ...] = ()
     alternatives: tuple[PossibleJump, ...] = ()
     drift: FoundDrift | None = None
+    finds: SmallestStep | None = None
 
     def as_json(self) -> dict[str, object]:
         """Return this comparison as the JSON object that docs/reference/json.md describes."""
@@ -177,6 +182,7 @@ class NightReport:
             "likeliest": [vars(one) for one in self.likeliest],
             "alternatives": jump_documents(self.alternatives),
             "drift": drift_document(self.drift),
+            "finds": None if self.finds is None else vars(self.finds),
         }
 
 

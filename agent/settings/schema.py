@@ -266,16 +266,20 @@ class NightlySettings(StrictModel):
     nightly`, and the limits beyond which the machine counts as changed.
 
     `held_out_positions` is the number of held-out positions at the artefact's station (see `verification`) that are
-    measured at the start, and again if a new compensation table is written. `check_positions` is the number of designed
-    (optimally selected) positions that complete the verification.
+    measured at the start of a night, and again if a new compensation table is written. `check_positions` is the number
+    of designed (optimally selected) positions that complete the check at the start of a night.
+
+    `volcal verify` measures the fewest positions that find a step of any squareness by `verify_step_urad` with a
+    probability of 95 %. `verify_false_alarm` is the largest probability with which it reports a step where none is.
 
     `drift_um` is the rms length of the field by which the machine may change per night; the change is distributed like
     the errors of the machine's family. `scale_drift_um_per_m` is an additional drift per night of the scale of each
     axis.
 
     The machine is out of limits in three cases. The normalised χ² of the prediction exceeds `max_chi2`. Or one error
-    has changed abruptly, and the evidence for this step (ln of the likelihood ratio) is at least `step_evidence`. Or
-    the volumetric error (VE) exceeds `max_ve_growth` times the VE after the last accepted night.
+    has changed abruptly, and the evidence for this step (ln of the likelihood ratio) is at least `step_evidence`; in a
+    verification, the limit follows from `verify_false_alarm`. Or the volumetric error (VE) exceeds `max_ve_growth`
+    times the VE after the last accepted night.
 
     A night writes a table if the volumetric error expected with it is lower than that expected with the active table by
     at least the fraction `min_gain`, and if the held-out balls can show its effect. This is the rule of a full
@@ -287,6 +291,8 @@ class NightlySettings(StrictModel):
     reserve_minutes: float = Field(default=0.5, ge=0.0, le=60.0)
     held_out_positions: PositiveInt = 1
     check_positions: PositiveInt = 2
+    verify_step_urad: PositiveFloat = Field(default=10.0, le=10000.0)
+    verify_false_alarm: float = Field(default=0.01, ge=1e-6, le=0.5)
     grid_deg: PositiveFloat = Field(default=45.0, le=45.0)
     drift_um: float = Field(default=0.15, ge=0.0, le=100.0)
     scale_drift_um_per_m: float = Field(default=0.4, ge=0.0, le=100.0)

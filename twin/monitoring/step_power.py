@@ -62,6 +62,11 @@ class SmallestStep:
     size: float | None
     unit: str
 
+    @property
+    def text(self) -> str:
+        """The step in words."""
+        return f"{self.error}: not found" if self.size is None else f"{self.size:.1f} {self.unit} ({self.error})"
+
 
 @dataclass(frozen=True, eq=False)
 class _ErrorTest:

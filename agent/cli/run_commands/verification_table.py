@@ -6,10 +6,10 @@ from rich.table import Table
 
 from agent.cli.printing import columns_table
 from agent.probing.run_plan import position_key
-from agent.runs.kinds.verification_power import SOUGHT_URAD, FoundSteps, VerificationPower
+from agent.runs.kinds.verification_power import FoundSteps, VerificationPower
 from twin.identification.jump import ERRORS
 from twin.machine.error_model import SQUARENESS
-from twin.monitoring.step_power import FALSE_ALARM, POWER, ROTATIONS, SmallestStep, largest_of
+from twin.monitoring.step_power import POWER, ROTATIONS, SmallestStep, largest_of
 
 _COLUMNS = ("verification", "positions", "min", "evidence", "squareness", "rotation", "displacement")
 _OTHERS = tuple(error for error in ERRORS if error not in (*SQUARENESS, *ROTATIONS))
@@ -23,52 +23,46 @@ def power_table(verified: VerificationPower) -> Table:
     for found in verified.by_positions:
         more = len(found.positions) - len(planned.positions)
         name = "volcal verify" if more == 0 else f"{abs(more)} {'more' if more > 0 else 'fewer'}"
-        table.add_row(name, *_cells(found, found.evidence, found.steps))
-    as_set = f"volcal verify as set ({100.0 * verified.set_false_alarm:.2g} % false alarms)"
-    table.add_row(as_set, *_cells(planned, verified.set_evidence, verified.as_set))
-    fewest = (("squareness", verified.fewest_squareness), ("squareness or rotation", verified.fewest_angles))
-    for what, one in fewest:
-        row = ["none", "", "", "", "", ""] if one is None else _cells(one, one.evidence, one.steps)
-        table.add_row(f"fewest for {SOUGHT_URAD:g} µrad of any {what}", *row)
+        table.add_row(name, *_cells(found))
+    fewest = "fewest for any squareness or rotation"
+    angles = verified.fewest_angles
+    table.add_row(*((fewest, *_cells(angles)) if angles is not None else (fewest, "none", "", "", "", "", "")))
+    night = f"beginning of a night ({100.0 * verified.night_false_alarm:.2g} % false alarms)"
+    table.add_row(night, *_cells(verified.night))
     return table
 
 
 def power_notes(verified: VerificationPower) -> str:
-    """Return the meaning of the limits in the table of `power_table`, the errors that it leaves out, and the fewest
-    positions."""
-    alarms = f"{100.0 * FALSE_ALARM:.0f} % of the verifications raise a false alarm at most"
-    notes = [f"if nightly.step_evidence is set to 'evidence', {alarms}"]
+    """Return what `volcal verify` measures and how often it is wrong, and the errors that the table leaves out."""
+    sought, alarms = f"{verified.sought_urad:g} µrad of any squareness", f"{100.0 * verified.false_alarm:.2g} %"
+    positions = ", ".join(position_key(position) for position in verified.planned.positions)
+    notes = [f"volcal verify: {positions}; at most {alarms} of the verifications raise a false alarm"]
+    if verified.fewest_squareness is None:
+        notes.append(f"{sought}: not found with all positions at station {verified.station}")
     if verified.no_effect:
         notes.append(f"left out, because they do not move the tool: {', '.join(verified.no_effect)}")
-    if verified.fewest_squareness is not None:
-        positions = ", ".join(position_key(position) for position in verified.fewest_squareness.positions)
-        notes.append(f"fewest for {SOUGHT_URAD:g} µrad of any squareness: {positions}")
     return "\n".join(notes)
 
 
 def power_text(verified: VerificationPower) -> str:
-    """Return in words which step of a squareness `volcal verify` finds, and how long the sought step takes."""
-    planned, fewest = verified.planned, verified.fewest_squareness
-    worst = _largest(planned.steps, SQUARENESS)
-    own = f"any squareness by {worst} with {100.0 * POWER:.0f} % in {_effort(planned)}"
-    needed = "not with all positions there" if fewest is None else f"{_effort(fewest)} chosen for it"
-    return f"{own}\n{SOUGHT_URAD:g} µrad: {needed}"
+    """Return in words which step of a squareness `volcal verify` finds, and how long that takes."""
+    planned = verified.planned
+    own = f"any squareness by {_largest(planned.steps, SQUARENESS)} with {100.0 * POWER:.0f} % in {_effort(planned)}"
+    if verified.fewest_squareness is not None:
+        return own
+    return f"{own}\n{verified.sought_urad:g} µrad: not with all positions there"
 
 
 def _effort(found: FoundSteps) -> str:
     return f"{found.machine_minutes:.1f} min, {len(found.positions)} positions"
 
 
-def _cells(found: FoundSteps, evidence: float, steps: tuple[SmallestStep, ...]) -> list[str]:
-    minutes = f"{found.machine_minutes:.1f}"
-    kinds = (_largest(steps, errors) for errors in (SQUARENESS, ROTATIONS, _OTHERS))
-    return [str(len(found.positions)), minutes, f"{evidence:.1f}", *kinds]
+def _cells(found: FoundSteps) -> list[str]:
+    kinds = (_largest(found.steps, errors) for errors in (SQUARENESS, ROTATIONS, _OTHERS))
+    return [str(len(found.positions)), f"{found.machine_minutes:.1f}", f"{found.evidence:.1f}", *kinds]
 
 
 def _largest(steps: tuple[SmallestStep, ...], errors: tuple[str, ...]) -> str:
     """Return the step that is found worst among those of `errors`, in words."""
     found = [step for step in steps if step.error in errors]
-    if not found:
-        return "no effect"
-    worst = largest_of(found)
-    return f"{worst.error}: not found" if worst.size is None else f"{worst.size:.1f} {worst.unit} ({worst.error})"
+    return largest_of(found).text if found else "no effect"

@@ -101,21 +101,25 @@ class Judge:
         return self.residual_with_table.of(estimate.z, estimate.z_covariance, written).aligned_um
 
     def judge_balls(
-        self, station: int, balls: Sequence[MeasuredBall], held_out: Sequence[MeasuredBall], correction: Correction
+        self,
+        station: int,
+        balls: Sequence[MeasuredBall],
+        held_out: Sequence[MeasuredBall],
+        correction: Correction,
+        step_evidence: float,
     ) -> Judgement:
         """Compare the measured `balls` with their prediction from the last accepted night. All of them must have been
         measured with the active table.
 
-        `held_out` contains the balls among `balls` that were measured in held-out positions. `correction` is the
-        correction that the active table adds to displayed axis positions. Raises MeasurementFault if too few balls were
-        found for a comparison.
+        `held_out` contains the balls among `balls` that no estimate uses. `correction` is the correction that the
+        active table adds to displayed axis positions. An error is reported as changed if the evidence for it is at
+        least `step_evidence`. Raises MeasurementFault if too few balls were found for a comparison.
         """
         with translated(MeasurementFault):
             observations = observations_of(balls, self.job.tool_offset_mm, correction)
             found = innovation(self.family, observations, self.job.artefact, self.prior)
             found_um, predicted_um = self._held_out(held_out, correction)
-        limits = self.job.settings.nightly
-        jumped = found.find_jumps(limits.step_evidence)
+        jumped = found.find_jumps(step_evidence)
         now_um = self.residual_with_table.of(
             found.posterior_mean, found.posterior_covariance, self.reference.table.written
         ).aligned_um

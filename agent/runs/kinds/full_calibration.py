@@ -17,11 +17,11 @@ from agent.results.run_outcome import Decision, NightReport, Proof
 from agent.runs.consent import Consent
 from agent.runs.kinds.calibration import CalibrationTask, calibrated
 from agent.runs.kinds.drift_check import Judge
-from agent.runs.kinds.night_plan import NightPlan, verification_plan
 from agent.runs.kinds.position_choice import PositionChooser
 from agent.runs.kinds.run_parts import PreparedRun, found_compensation, prepared_run, refused
 from agent.runs.kinds.slot import Slot
-from agent.runs.kinds.verify import check_measurement, judge_measurement, with_table_of
+from agent.runs.kinds.verification_choice import VerificationChoice, VerificationChooser
+from agent.runs.kinds.verify import check_measurement, verified_report, with_table_of
 from agent.runs.planned_run import Kind, PlannedRun, StartConditions, plan_run
 from agent.runs.reference_state import FullCalibrationNeed
 from drivers.roles import StoreLimits
@@ -59,12 +59,12 @@ class PendingCalibration:
     def _verification(self, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
         slot, pending = self.slot, self.pending
         chooser = PositionChooser(self.here, self.station)
-        plan = verification_plan(chooser, self.judge.prior, self.judge.expected_change)
-        own = plan.job(self.here)
+        choice = VerificationChooser.of(chooser, self.judge.prior).choice()
+        own = choice.plan.job(self.here)
 
         def procedure() -> RunPlan:
             return with_table_of(
-                self.judge.reference, lambda found: _verified_only(own, plan, self.judge, pending, found)
+                self.judge.reference, lambda found: _verified_only(own, choice, self.judge, pending, found)
             )
 
         planned = plan_run(own, self.kind, start, procedure, watch)
@@ -124,15 +124,15 @@ def _note_restored(report: Callable[[], NightReport], proof: Callable[[], Proof]
 
 
 def _verified_only(
-    job: Job, plan: NightPlan, judge: Judge, pending: FullCalibrationNeed, found: ActiveCompensation
+    job: Job, choice: VerificationChoice, judge: Judge, pending: FullCalibrationNeed, found: ActiveCompensation
 ) -> RunPlan:
     """Make a verification, because the required full calibration cannot be done in this slot."""
-    ready, measured = yield from check_measurement(job, plan, found)
+    ready, measured = yield from check_measurement(job, choice.plan, found)
     yield from note_measured(MEASURED, measured)
     yield Enter("state/identifying", RunState.IDENTIFYING)
 
     def report_of() -> NightReport:
-        report = judge_measurement(judge, plan, job, measured, ready.correction).report
+        report = verified_report(judge, choice, job.balls_of(measured, held_out=False), ready.correction)
         return replace(report, decision=Decision.FULL_NEEDED, reason=pending.reason)
 
     yield Conclude("night/report", report_of, None, record_night)

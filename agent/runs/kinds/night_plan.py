@@ -95,8 +95,8 @@ def station_of(job: Job, named: int | None) -> int:
     return station
 
 
-def verification_plan(chooser: PositionChooser, prior: CarriedOverPrior, change: Array) -> NightPlan:
-    """Return the plan of a night in which the machine is only verified, that is, compared with the last accepted
+def night_check(chooser: PositionChooser, prior: CarriedOverPrior, change: Array) -> NightPlan:
+    """Return the positions at the beginning of a night, which show if the machine is still as in the last accepted
     night.
 
     `prior` is the estimate of that night with the drift since then, and `change` (p, p) contains the expected squares
@@ -104,8 +104,7 @@ def verification_plan(chooser: PositionChooser, prior: CarriedOverPrior, change:
     """
     chosen = chooser.job.settings.nightly
     held_out = _held_out(chooser, prior, change, chosen.held_out_positions)
-    checked = chooser.detecting_jumps(prior, chosen.check_positions, held_out)
-    return NightPlan(chooser.station, held_out, checked)
+    return NightPlan(chooser.station, held_out, chooser.detecting_jumps(prior, chosen.check_positions, held_out))
 
 
 def night_plan(
@@ -123,10 +122,10 @@ def night_plan(
     Raises PlanRefused if the slot is too short.
     """
     chosen = chooser.job.settings.nightly
-    held_out = _held_out(chooser, judge.prior, judge.expected_change, chosen.held_out_positions)
+    check = night_check(chooser, judge.prior, judge.expected_change)
+    held_out, checked = check.held_out, check.check_positions
     room = slot_minutes - chosen.reserve_minutes
     budget = max(room - 2.0 * chooser.minutes(held_out), 0.0)
-    checked = chooser.detecting_jumps(judge.prior, chosen.check_positions, held_out)
     ahead = _AHEAD * max(budget - chooser.minutes(checked), 0.0)
     best = chooser.by_gain(judge.prior, most=_MOST, minutes=ahead, measured=checked, left_out=(*held_out, *checked))
     offered = (*checked, *best)

@@ -1,28 +1,29 @@
 """Kind of run `verify`.
 
-A few positions are measured with active compensation and compared with the last accepted night. The run writes no
-compensation table. A nightly run begins with the same measurement.
+The fewest positions that find a step of a squareness of the stated size are measured with active compensation and
+compared with the last accepted night. The run writes no compensation table.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 from agent.errors import GateRefused
 from agent.execution.journal import RunJournal
 from agent.execution.states import RunState
 from agent.execution.steps import Conclude, Enter, Fork, Plan, RunPlan
 from agent.planning.job import Job
-from agent.probing.measured_balls import Correction
+from agent.probing.measured_balls import Correction, MeasuredBall
 from agent.probing.publish import ActiveCompensation
 from agent.probing.run_plan import MEASURED, MeasuredPositions, measure_positions, note_measured
 from agent.results.run_outcome import NightReport
 from agent.runs.kinds.calibrate import nights_since
 from agent.runs.kinds.drift_check import Judge, Judgement
-from agent.runs.kinds.night_plan import VERIFICATION, NightPlan, job_at_station, station_of, verification_plan
+from agent.runs.kinds.night_plan import VERIFICATION, NightPlan, job_at_station, station_of
 from agent.runs.kinds.position_choice import PositionChooser
 from agent.runs.kinds.run_parts import PreparedRun, complete, found_compensation, prepared_run, refused
+from agent.runs.kinds.verification_choice import VerificationChoice, VerificationChooser
 from agent.runs.planned_run import PlannedRun, StartConditions, plan_run
 from agent.runs.reference_state import ReferenceState, active_digest, require_reference
 
@@ -45,21 +46,20 @@ class Verification:
         station = station_of(job, self.station)
         reference = require_reference(job, start.run)
         judge = Judge(job, reference, nights_since(reference, self.nights, start.at))
-        plan = verification_plan(
-            PositionChooser(job_at_station(job, station), station), judge.prior, judge.expected_change
-        )
-        own = plan.job(job)
-        return plan_run(own, self, start, lambda: verification(own, plan, judge), watch)
+        chooser = PositionChooser(job_at_station(job, station), station)
+        choice = VerificationChooser.of(chooser, judge.prior).choice()
+        own = choice.plan.job(job)
+        return plan_run(own, self, start, lambda: verification(own, choice, judge), watch)
 
 
-def verification(job: Job, plan: NightPlan, judge: Judge) -> RunPlan:
+def verification(job: Job, choice: VerificationChoice, judge: Judge) -> RunPlan:
     """Return the plan that measures a few positions and compares them with their prediction from the last accepted
     night. It does not change the compensation."""
-    return (yield from with_table_of(judge.reference, lambda found: _verified(job, plan, judge, found)))
+    return (yield from with_table_of(judge.reference, lambda found: _verified(job, choice, judge, found)))
 
 
-def _verified(job: Job, plan: NightPlan, judge: Judge, found: ActiveCompensation) -> RunPlan:
-    ready, measured = yield from check_measurement(job, plan, found)
+def _verified(job: Job, choice: VerificationChoice, judge: Judge, found: ActiveCompensation) -> RunPlan:
+    ready, measured = yield from check_measurement(job, choice.plan, found)
     yield from note_measured(MEASURED, measured)
     yield Enter("state/identifying", RunState.IDENTIFYING)
 
@@ -68,12 +68,21 @@ def _verified(job: Job, plan: NightPlan, judge: Judge, found: ActiveCompensation
 
     report = yield Conclude(
         "verify/report",
-        lambda: judge_measurement(judge, plan, job, measured, ready.correction).report,
+        lambda: verified_report(judge, choice, job.balls_of(measured, held_out=False), ready.correction),
         None,
         record,
     )
     yield from complete(lambda: report.reason or report.decision.value)
     return None
+
+
+def verified_report(
+    judge: Judge, choice: VerificationChoice, balls: Sequence[MeasuredBall], correction: Correction
+) -> NightReport:
+    """Compare the measured `balls` of a verification with the prediction from the last accepted night. No estimate uses
+    them, so all of them are held out."""
+    report = judge.judge_balls(choice.station, balls, balls, correction, choice.evidence).report
+    return replace(report, finds=choice.worst_squareness)
 
 
 def with_table_of(reference: ReferenceState, then: Callable[[ActiveCompensation], RunPlan]) -> RunPlan:
@@ -109,7 +118,8 @@ def check_measurement(
 def judge_measurement(
     judge: Judge, plan: NightPlan, job: Job, measured: MeasuredPositions, correction: Correction
 ) -> Judgement:
-    """Compare all measured balls, including those of held-out positions, with the prediction from the last accepted
-    night, the reference of `judge`."""
+    """Compare all balls measured in a night, including those of held-out positions, with the prediction from the last
+    accepted night, the reference of `judge`."""
     held_out = job.balls_of(measured, held_out=True)
-    return judge.judge_balls(plan.station, [*held_out, *job.balls_of(measured, held_out=False)], held_out, correction)
+    every = [*held_out, *job.balls_of(measured, held_out=False)]
+    return judge.judge_balls(plan.station, every, held_out, correction, job.settings.nightly.step_evidence)

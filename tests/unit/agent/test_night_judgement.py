@@ -88,7 +88,7 @@ def judged(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Judgement]:
 
         one = Judge(job, reference, 2.0)
         vars(one).update(prior=known, family=None, residual_with_table=SimpleNamespace(of=expected))
-        return one.judge_balls(3, [], [], lambda points: points)
+        return one.judge_balls(3, [], [], lambda points: points, LIMITS.step_evidence)
 
     return judge
 
@@ -175,7 +175,7 @@ class TestVerdict:
         one = Judge(SimpleNamespace(tool_offset_mm=None), SimpleNamespace(), 1.0)  # type: ignore[arg-type]
         monkeypatch.setattr(drift_check, "observations_of", fails)
         with pytest.raises(MeasurementFault, match="no ball of the night"):
-            one.judge_balls(1, [], [], lambda points: points)
+            one.judge_balls(1, [], [], lambda points: points, LIMITS.step_evidence)
 
 
 def position(number: int) -> Position:
