@@ -50,11 +50,12 @@ class TimeSlotGoal:
 
     minutes: float
 
-    def select(self, search: ExchangeSearch) -> tuple[int, ...]:
+    def select(self, search: ExchangeSearch, start: Sequence[int] = ()) -> tuple[int, ...]:
         """Return the indices of the candidate positions selected by `search`.
 
-        Raise DataError if `minutes` is too short for any two positions. The message states the shortest time in which
-        two positions can be measured.
+        If the selection `start` for a slot of about this length is given, it is improved instead of a new one being
+        grown, which takes a fraction of the time. Raise DataError if `minutes` is too short for any two positions. The
+        message states the shortest time in which two positions can be measured.
         """
         shortest = search.costs.cheapest_pairs()
         if self.minutes < shortest.min():
@@ -71,7 +72,13 @@ class TimeSlotGoal:
                 return np.asarray(shortest <= self.minutes)
             return np.asarray(search.costs.total(chosen) + search.costs.marginal(chosen) <= self.minutes)
 
-        return _best_selection(search, room).chosen
+        if not start:
+            return _best_selection(search, room).chosen
+        selection = Selection.of(search.candidates, start)
+        while len(selection.chosen) > 1 and search.costs.total(selection.chosen) > self.minutes:
+            selection = selection.with_removed(selection.by_rising_loss()[0][0])
+        improved = _exchange_and_fill(search, selection, room)
+        return improved.chosen if len(improved.chosen) >= MIN_POSITIONS else _best_selection(search, room).chosen
 
 
 @dataclass(frozen=True)

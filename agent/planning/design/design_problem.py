@@ -100,14 +100,19 @@ class DesignProblem:
         return not self.feasibility_of(position).hit(position)
 
     def prices(self, candidates: CandidatePositions) -> MeasuringCosts:
-        """Return the machine minutes of each candidate, and those of the run apart from them."""
+        """Return the approximate machine minutes of each candidate, and those of the run apart from them."""
         tools, first = list(self.jobs), self.job
-        minutes = np.array([self.feasibility_of(position).minutes(position) for position in candidates.positions])
-        codes = [_TOOL_STRIDE * (tools.index(p.tool) if p.tool else 0) + p.station for p in candidates.positions]
+        minutes = np.empty(candidates.count)
+        of_tool = np.array([tools.index(p.tool) if p.tool else 0 for p in candidates.positions])
+        for tool in np.unique(of_tool):
+            own = np.flatnonzero(of_tool == tool)
+            positions = [candidates.positions[index] for index in own]
+            minutes[own] = self.feasibility_of(positions[0]).estimated_minutes(positions, candidates.balls[own])
+        codes = _TOOL_STRIDE * of_tool + [position.station for position in candidates.positions]
         carried = first.rules.placement is None and first.rules.change.moves_artefact
         costs = MeasuringCosts(
             minutes=minutes,
-            stations=np.array(codes),
+            stations=codes,
             carry_minutes=first.settings.timing.relocation_minutes if carried else 0.0,
             standing_at=first.settings.stations.standing_at,
         )

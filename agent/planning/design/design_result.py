@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 from agent.errors import PlanRefused
 from agent.files import translated
@@ -34,6 +34,7 @@ Prove = Callable[[Job], object]
 
 _MAX_ATTEMPTS = 12
 _SLACK_MIN = 0.01
+_MAX_EXTENSIONS = 4
 _ORIENTATIONS = 2
 _MARGIN = 1.3  # factor on the excess over a slot, so that one more search usually suffices
 
@@ -87,31 +88,38 @@ def find_design(problem: DesignProblem, goal: Goal, *, verify: bool, prove: Prov
     preflight refuses the set found in every attempt. Raises PlanRefused if the preflight refuses a step that belongs to
     no selected position.
     """
+    found = _unproved(problem, goal, verify=verify, say=say)
+    return found if prove is None else _proved(found, goal, verify=verify, prove=prove, say=say)
+
+
+def _unproved(problem: DesignProblem, goal: Goal, *, verify: bool, say: Say) -> DesignResult:
+    say("candidates")
+    with translated(ConfigurationError, key="stations.places_mm"):
+        candidates = problem.candidates
+    say("minutes of the candidates")
+    search = problem.search
+    say("search")
+    draft = _selected(problem, search, goal, verify=verify)
+    return DesignResult(
+        problem=problem,
+        chosen=draft.chosen,
+        positions=draft.positions,
+        minutes=draft.minutes,
+        valuation=Valuation(candidates.vce([]), candidates.vce(draft.chosen)),
+        balls=int(sum(candidates.balls[list(draft.chosen)])),
+        held_out=draft.held_out,
+        preflight_passed=False,
+    )
+
+
+def _proved(found: DesignResult, goal: Goal, *, verify: bool, prove: Prove, say: Say) -> DesignResult:
+    """Return the design `found` if it passes its preflight, or one found without the positions that are refused."""
     for _ in range(_MAX_ATTEMPTS):
-        say("candidates")
-        with translated(ConfigurationError, key="stations.places_mm"):
-            candidates = problem.candidates
-        say("minutes of every candidate")
-        search = problem.search
-        say("search")
-        draft = _selected(problem, search, goal, verify=verify)
-        chosen, positions, held_out = draft.chosen, draft.positions, draft.held_out
-        if prove is not None:
-            say("preflight")
-            refused = _refused(problem, positions, held_out, prove)
-            if refused is not None:
-                problem = problem.refusing(refused)
-                continue
-        return DesignResult(
-            problem=problem,
-            chosen=chosen,
-            positions=positions,
-            minutes=draft.minutes,
-            valuation=Valuation(candidates.vce([]), candidates.vce(chosen)),
-            balls=int(sum(candidates.balls[list(chosen)])),
-            held_out=held_out,
-            preflight_passed=prove is not None,
-        )
+        say("preflight")
+        refused = _refused(found.problem, found.positions, found.held_out, prove)
+        if refused is None:
+            return replace(found, preflight_passed=True)
+        found = _unproved(found.problem.refusing(refused), goal, verify=verify, say=say)
     raise ConfigurationError(
         f"the preflight refused a position of each of {_MAX_ATTEMPTS} designs",
         hint="`volcal plan` shows the obstacle",
@@ -121,38 +129,51 @@ def find_design(problem: DesignProblem, goal: Goal, *, verify: bool, prove: Prov
 @dataclass(frozen=True, eq=False)
 class _Draft:
     """Selected candidates `chosen`, the positions in measuring order, the held-out positions that the design selects,
-    and the minutes of the whole run."""
+    and the minutes of the whole run. For a time slot, `slot_minutes` is the slot that was given to the search."""
 
     chosen: tuple[int, ...]
     positions: tuple[Position, ...]
     held_out: tuple[Position, ...]
     minutes: float
+    slot_minutes: float = math.nan
 
 
 def _selected(problem: DesignProblem, search: ExchangeSearch, goal: Goal, *, verify: bool) -> _Draft:
     """Return a selection that reaches the goal with the minutes of the whole run.
 
-    The search adds up the minutes of single positions to those that a run takes anyway, but a time slot applies to the
-    whole run. The slot given to the search is therefore corrected until the run fits.
+    The search adds up approximate minutes of single positions and those that a run takes anyway, but a time slot
+    applies to the whole run. The slot given to the search is therefore shortened until the run fits, and extended as
+    long as time is left that improves the selection.
     """
     if not isinstance(goal, TimeSlotGoal):
         return _drafted(problem, search, goal, verify=verify)
-    draft = _fitting(problem, search, goal, goal.minutes, verify=verify)
-    spare = goal.minutes - draft.minutes
-    if spare <= search.costs.minutes.min():
-        return draft
-    fuller = _fitting(problem, search, goal, goal.minutes + spare, verify=verify)
-    return min(draft, fuller, key=lambda one: search.candidates.vce(one.chosen).aligned_mm)
+    draft = _fitting(problem, search, goal, goal.minutes, (), verify=verify)
+    for _ in range(_MAX_EXTENSIONS):
+        spare = goal.minutes - draft.minutes
+        if spare <= search.costs.minutes.min():
+            break
+        fuller = _fitting(problem, search, goal, draft.slot_minutes + spare, draft.chosen, verify=verify)
+        if search.candidates.vce(fuller.chosen).aligned_mm >= search.candidates.vce(draft.chosen).aligned_mm:
+            break
+        draft = fuller
+    return draft
 
 
 def _fitting(
-    problem: DesignProblem, search: ExchangeSearch, asked: TimeSlotGoal, minutes: float, *, verify: bool
+    problem: DesignProblem,
+    search: ExchangeSearch,
+    asked: TimeSlotGoal,
+    minutes: float,
+    start: Sequence[int],
+    *,
+    verify: bool,
 ) -> _Draft:
-    """Return a draft whose run fits the slot `asked`; `minutes` is the slot that is given to the search first."""
+    """Return a draft whose run fits the slot `asked`. `minutes` is the slot that is given to the search first, and
+    `start` the selection that it improves; if it is empty, there is none yet."""
     shortest = math.inf
     while True:
         try:
-            draft = _drafted(problem, search, TimeSlotGoal(minutes), verify=verify)
+            draft = _drafted(problem, search, TimeSlotGoal(minutes), start, verify=verify)
         except InputError:
             if shortest == math.inf:
                 raise
@@ -164,14 +185,17 @@ def _fitting(
             ) from None
         over = draft.minutes - asked.minutes
         if over <= 0.0:
-            return draft
+            return replace(draft, slot_minutes=minutes)
         shortest = min(shortest, draft.minutes)
+        start = draft.chosen
         minutes -= _MARGIN * over + _SLACK_MIN
 
 
-def _drafted(problem: DesignProblem, search: ExchangeSearch, goal: Goal, *, verify: bool) -> _Draft:
+def _drafted(
+    problem: DesignProblem, search: ExchangeSearch, goal: Goal, start: Sequence[int] = (), *, verify: bool
+) -> _Draft:
     with translated(InputError):
-        chosen = goal.select(search)
+        chosen = goal.select(search, start) if isinstance(goal, TimeSlotGoal) else goal.select(search)
     positions = problem.in_order([search.candidates.positions[index] for index in chosen])
     held_out = _held_out(problem, search.candidates, chosen) if verify else ()
     return _Draft(chosen, positions, held_out, problem.minutes(positions, held_out))
@@ -244,18 +268,27 @@ def compare_variants(
     """
     choices: list[VariantDesign] = []
     errors: list[UserError] = []
-    for variant in variants:
+
+    def designed(variant: Variant, design: Callable[[], DesignResult]) -> VariantDesign:
         try:
-            problem = DesignProblem(variant.jobs, grid_deg, plan_of, variant.ball_share)
-            found = find_design(problem, goal, verify=verify, prove=None if variant.made_up else prove, say=say)
-            choices.append(VariantDesign(variant, found))
+            return VariantDesign(variant, design())
         except UserError as error:
             errors.append(error)
-            choices.append(VariantDesign(variant, None, error.message))
-    if len(errors) == len(choices):
-        raise errors[0]
-    reached = [number for number, choice in enumerate(choices) if choice.design is not None]
-    best = min(reached, key=lambda number: _rank(choices[number].result, goal))
+            return VariantDesign(variant, None, error.message)
+
+    for variant in variants:
+        problem = DesignProblem(variant.jobs, grid_deg, plan_of, variant.ball_share)
+        choices.append(designed(variant, partial(_unproved, problem, goal, verify=verify, say=say)))
+    while True:  # only the best is proved: a preflight takes as long as a search
+        reached = [number for number, choice in enumerate(choices) if choice.design is not None]
+        if not reached:
+            raise errors[0]
+        best = min(reached, key=lambda number: _rank(choices[number].result, goal))
+        found = choices[best].result
+        if choices[best].variant.made_up or found.preflight_passed:
+            break
+        proof = partial(_proved, found, goal, verify=verify, prove=prove, say=say)
+        choices[best] = designed(choices[best].variant, proof)
     choices[best] = replace(choices[best], best=True)
     return choices
 

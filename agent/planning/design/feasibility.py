@@ -10,13 +10,17 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from agent.execution.steps import MoveTo, TouchTowards
 from agent.planning.cycle_time import position_minutes, walk_plan
 from agent.planning.job import Job
+from agent.planning.measuring_order import AT_REST_DEG
+from agent.planning.time_model import TimeModel, time_model
 from agent.probing.ball import point
 from agent.probing.run_plan import MeasuringOrder, measure_positions
 from twin.arrays import Array
@@ -25,14 +29,16 @@ from twin.collision.accessibility import AT_CONTACT_MM, measuring_scene
 from twin.collision.bodies import TIP, ball_name
 from twin.collision.collision import Scene
 from twin.collision.geometry import Point, translate_point
-from twin.design.candidates import CandidatePositions
+from twin.design.candidates import CandidatePositions, Indices
 from twin.design.measuring_cost import MeasuringCosts
 from twin.design.search import ExchangeSearch
+from twin.units import S_PER_MIN
 
 CLEARANCE_MM = 1.0
 """Minimum clearance of every move from all bodies, because a mount is never exactly at its nominal location."""
 
 _PREFIX = "vetted"
+_TIMED = 40  # positions from whose minutes those of all others are estimated
 _BALL = re.compile(r"/ball-(\d+)")
 _Key = tuple[float, float, float, Point, bytes, int]
 
@@ -59,14 +65,38 @@ class FeasibilityCheck:
             self._minutes[key] = position_minutes(self.job, position)
         return self._minutes[key]
 
+    def estimated_minutes(self, positions: Sequence[Position], balls: Indices) -> Array:
+        """Return the approximate machine minutes (N,) for measuring each of N positions.
+
+        The minutes of `_TIMED` of the positions are computed. Without the turn of the mount, they are nearly a straight
+        line over the number of balls; this line gives the minutes of all other positions. `balls` (N,) contains the
+        number of measured balls of each position.
+        """
+        turns = np.array([self._turn_minutes(position) for position in positions])
+        timed = np.unique(np.linspace(0, len(positions) - 1, min(_TIMED, len(positions))).round().astype(int))
+        exact = np.array([self.minutes(positions[index]) for index in timed])
+        line = np.stack((np.ones(len(positions)), balls), axis=1)
+        slope = np.linalg.lstsq(line[timed], exact - turns[timed], rcond=None)[0]
+        minutes = np.maximum(line @ slope, (exact - turns[timed]).min()) + turns
+        minutes[timed] = exact
+        return np.asarray(minutes)
+
     def search_among(
-        self, candidates: CandidatePositions, *, standing_at: int | None, carry_minutes: float = 0.0
+        self,
+        candidates: CandidatePositions,
+        *,
+        standing_at: int | None,
+        carry_minutes: float = 0.0,
+        estimate_minutes: bool = False,
     ) -> ExchangeSearch:
-        """Return the search for the best of `candidates` that can be measured, with the time of each. The artefact
-        stands at the station `standing_at` first, and a change of station takes `carry_minutes`."""
+        """Return the search for the best of `candidates` that can be measured, with the time of each, which is only
+        approximate if `estimate_minutes` is True. The artefact stands at the station `standing_at` first, and a change
+        of station takes `carry_minutes`."""
         positions = candidates.positions
         costs = MeasuringCosts(
-            minutes=np.array([self.minutes(position) for position in positions]),
+            minutes=self.estimated_minutes(positions, candidates.balls)
+            if estimate_minutes
+            else np.array([self.minutes(position) for position in positions]),
             stations=np.array([position.station for position in positions]),
             carry_minutes=carry_minutes,
             standing_at=standing_at,
@@ -82,6 +112,14 @@ class FeasibilityCheck:
         if key not in self._hits:
             self._hits[key] = self._first_hit(position)
         return self._hits[key]
+
+    def _turn_minutes(self, position: Position) -> float:
+        """Return the minutes in which the mount turns from rest to the angles of `position`."""
+        return self._times.turn_s(AT_REST_DEG, (position.azimuth_deg, position.elevation_deg)) / S_PER_MIN
+
+    @cached_property
+    def _times(self) -> TimeModel:
+        return time_model(self.job.machine, self.job.settings.timing)
 
     def _key(self, position: Position) -> _Key:
         layout = self.job.layout

@@ -37,7 +37,7 @@ from twin.units import S_PER_MIN
 CANDIDATES = 60
 """Number of candidate positions. Their gains are computed again after each measured position."""
 
-GRID_DEG = 30.0
+GRID_DEG = 15.0
 """Step of the orientations, azimuth and elevation, from which the candidates are taken, in degrees."""
 
 MIN_POSITIONS = 6
@@ -61,20 +61,23 @@ class SequentialCandidates:
     def positions(self) -> tuple[Position, ...]:
         """Candidate positions, sorted by station, azimuth and elevation. Each has been checked for collisions.
 
-        They are the positions that a design for a run of any length would choose first. Positions of few balls take
-        little time, but a wrong ball in them could not be told from the others; they are left out, unless the artefact
-        has no more balls. Raises ConfigurationError if no
-        position can be measured.
+        They are the positions that a design for a run of any length would choose first, out of a grid of orientations
+        and the position set of the settings. Positions of few balls take little time, but a wrong ball in them could
+        not be told from the others; they are left out, unless the artefact has no more balls. Raises ConfigurationError
+        if no position can be measured.
         """
-        job, held_out = self.job, set(self.job.held_out)
+        job, held_out = self.job, {replace(position, balls=None) for position in self.job.held_out}
         stations = job.settings.procedure.stations or sorted(job.layout.locations_mm)
-        grid = [(station, *angles) for station in stations for angles in orientation_grid(self.grid_deg)]
-        offered = [Position(*one) for one in grid if Position(*one) not in held_out]
+        grid = [Position(station, *angles) for station in stations for angles in orientation_grid(self.grid_deg)]
+        offered = [one for one in (*job.positions, *grid) if replace(one, balls=None) not in held_out]
         with translated(ConfigurationError, key="stations.places_mm"):
             field, options = self._field, planning_options(job.settings.temperature)
             every = build_candidates(job.procedure, offered, job.machine.family, options, field, job.tool_offset_mm)
         search = self._feasibility.search_among(
-            every, standing_at=job.settings.stations.standing_at, carry_minutes=self._carry_s() / S_PER_MIN
+            every,
+            standing_at=job.settings.stations.standing_at,
+            carry_minutes=self._carry_s() / S_PER_MIN,
+            estimate_minutes=True,
         )
         redundant: Mask = every.balls >= min(CHECKABLE_BALLS, job.artefact.count)
         grown = search.grow(Selection.of(every), lambda _: redundant, per_minute=True)
