@@ -6,8 +6,9 @@ sequentially, as a run does it: the next position is chosen from its own simulat
 ends when the upper 95 % limit of the predicted VCE is below a target, or when the time of the position set of the case
 is over. A rule that ends at a lucky moment would state too small an error; the observed coverage shows it.
 
-On some of the machines, the first positions of the set of the case, the first positions that a design chooses
-beforehand and those chosen sequentially are compared at equal numbers of positions.
+On some of the machines, three ways to choose the positions are compared in machine time: the first positions of the set
+of the case, sets that are designed for several lengths of the slot, and the sequential choice. Beside them stands a
+lower bound of the expected VCE that no set of positions can pass (`twin.design.relaxed_design`).
 """
 
 from __future__ import annotations
@@ -15,28 +16,33 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
 
 import numpy as np
 
-from agent.planning.cycle_time import machine_minutes
+from agent.planning.cycle_time import machine_minutes, minutes_at_balls, set_alone
+from agent.planning.design.design_problem import DesignProblem
+from agent.planning.design.design_result import DesignResult, find_design
 from agent.planning.design.sequential_candidates import (
     LEAST_CARRY_MIN,
     MIN_POSITIONS,
     SequentialCandidates,
+    minutes_one_by_one,
     standing_in,
 )
+from agent.planning.design.variants import BALL_SHARES
+from agent.planning.job import Job
 from agent.studies.sequential_figure import VceCurve, draw
 from agent.studies.study import StudyCase, StudyResult
 from agent.studies.workers import generator
 from twin.arrays import Array
-from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
+from twin.design.candidates import CandidatePositions, build_candidates
+from twin.design.goals import TimeSlotGoal
+from twin.design.relaxed_design import InformationBound, information_bound
 from twin.design.sequential import PositionsSeen, ranked_choices
 from twin.identification import Estimate, Options, identify, identify_by_evidence, predicted_vce
 from twin.machine.forward_model import exact_deviation
-from twin.machine.machine_description import MachineDescription
 from twin.machine.volumetric import evaluation_grid, volumetric_error
 from twin.uncertainty.coverage import ObservedCoverage, observed_coverage
 from twin.uncertainty.random_machines import (
@@ -55,14 +61,19 @@ TARGET_COUNTS = (8, 14)
 
 _LIMIT_OVER_EXPECTED = 1.5  # upper 95 % limit over expected VCE of a usual machine
 _GRID = (16, 8, 8)
-_CURVES_EVERY = 10  # every tenth machine is measured in all three ways
-_CURVE_STEP = 4
+_CURVES_EVERY = 2  # every second machine is measured in all three ways
+_CURVE_STEP = 3
+_SLOT_SHARES = (0.3, 0.45, 0.6, 0.8, 1.0)  # slots of the designs, as shares of the longest
+_LONGEST_MIN = 20.0  # machine time in min up to which the three ways are compared
+_DESIGN_GRID_DEG = 15.0
+_TIMED = 40  # candidates whose shortest time is computed; that of the others follows from their balls
 
 
 @dataclass(frozen=True, eq=False)
 class StatedVce:
     """VCE of one machine as stated after some positions, and the true one, in µm. `ending` says what the positions are,
-    or which target ended the measurement; `reached` is True if the target was reached before the time was over."""
+    or which target ended the measurement; `reached` is True if the target was reached before the time was over. `point`
+    is the number of the point on a curve."""
 
     form: str
     ending: str
@@ -73,42 +84,49 @@ class StatedVce:
     limits_um: tuple[float, float]
     order: int
     reached: bool = False
+    point: int = 0
 
     @property
     def held(self) -> bool:
         return self.limits_um[0] <= self.true_um <= self.limits_um[1]
 
 
+@dataclass(frozen=True)
+class TimedSet:
+    """Positions, as indices of the planned measurement, that a person would measure as a set, and their machine time
+    in min."""
+
+    indices: tuple[int, ...]
+    minutes: float
+
+
 @dataclass(frozen=True, eq=False)
 class SequentialStudyTask:
     """Task that calibrates one random machine in several ways, given its number and the form of its deflection.
 
-    `start` is the state before the first position. `positions` contains the N candidates, then those of the position
-    set, and `planned` the measurement of all of them. `seconds` (N + 1, N) is the time of each candidate after each
-    candidate and, in the last row, at the start. `designed` contains the candidates in the order of the design.
-    `limit_s` is the time in s for all measured positions, and `set_minutes` the minutes of the first positions of the
-    position set.
+    `start` is the state before the first position. `planned` is the measurement of the N candidates and of all
+    positions of the `sets`, which map the name of a way to choose positions to its sets of growing length. `seconds`
+    (N + 1, N) is the time of each candidate after each candidate and, in the last row, at the start, by which the
+    candidates are chosen. `limit_s` is the time in s for all measured positions.
     """
 
-    machine: MachineDescription
-    artefact: Artefact
+    job: Job
     options: Options
     start: PositionsSeen
+    candidates: tuple[Position, ...]
     planned: Observations
     seconds: Array
-    designed: tuple[int, ...]
-    set_minutes: tuple[float, ...]
+    sets: Mapping[str, tuple[TimedSet, ...]]
     limit_s: float
     targets_um: tuple[float, ...]
-    tool_offset: Array
     by_evidence: bool
     seed: int
 
     def __call__(self, item: tuple[int, str]) -> list[StatedVce]:
         number, form = item
         rng = generator(self.seed, number)
-        machine = draw_random_machine(self.machine, self.tool_offset, form, rng)
-        seen = machine.measure(self.planned, self.artefact, rng)
+        machine = draw_random_machine(self.job.machine, self.job.tool_offset_mm, form, rng)
+        seen = machine.measure(self.planned, self.job.artefact, rng)
         with_curves = number % _CURVES_EVERY == 0
         path, stops = self._sequential(machine, seen, whole=with_curves)
         return [*stops, *self._curves(machine, seen, path)] if with_curves else stops
@@ -121,7 +139,7 @@ class SequentialStudyTask:
         self, machine: RandomMachine, seen: Observations, *, whole: bool
     ) -> tuple[list[int], list[StatedVce]]:
         """Return the candidates in the order in which a sequential calibration measures them, and what it states where
-        it ends for each target. If `whole` is True, the candidates continue to the end of the slot."""
+        it ends for each target. If `whole` is True, the candidates continue to the end of the time."""
         state, chosen, spent_s = self.start, list[int](), 0.0
         stops = list[StatedVce]()
         targets = sorted(self.targets_um, reverse=True)
@@ -150,22 +168,22 @@ class SequentialStudyTask:
 
     def _curves(self, machine: RandomMachine, seen: Observations, path: Sequence[int]) -> Iterator[StatedVce]:
         """Yield what is stated after some of the positions of each of the three ways."""
-        of_set = tuple(range(self._candidates, self._candidates + len(self.set_minutes)))
-        for count in range(MIN_POSITIONS, max(len(path), len(of_set)) + 1, _CURVE_STEP):
-            for name, order in ((SEQUENTIAL, path), (DESIGNED, self.designed)):
-                if count <= len(order):
-                    yield self._stated(machine, seen, order[:count], self._seconds_of(order[:count]), name)
-            if count <= len(of_set):
-                yield self._stated(machine, seen, of_set[:count], S_PER_MIN * self.set_minutes[count - 1], NAMED)
-
-    def _seconds_of(self, chosen: Sequence[int]) -> float:
-        return float(self.seconds[-1, chosen[0]] + sum(self.seconds[one, other] for one, other in pairwise(chosen)))
+        ends = minutes_one_by_one(self.job, [self.candidates[index] for index in path])
+        chosen = tuple(
+            TimedSet(tuple(path[:count]), float(ends[count - 1]))
+            for count in range(MIN_POSITIONS, len(path) + 1, _CURVE_STEP)
+            if ends[count - 1] <= _LONGEST_MIN
+        )
+        for name, sets in (*self.sets.items(), (SEQUENTIAL, chosen)):
+            for point, one in enumerate(sets):
+                stated = self._stated(machine, seen, one.indices, S_PER_MIN * one.minutes, name)
+                yield replace(stated, point=point)
 
     def _stated(
         self, machine: RandomMachine, seen: Observations, chosen: Sequence[int], spent_s: float, ending: str
     ) -> StatedVce:
         estimate = self._estimate(seen.select(np.isin(seen.position, list(chosen))))
-        grid, offset = evaluation_grid(self.machine.model.ranges_mm, _GRID), self.tool_offset
+        grid, offset = evaluation_grid(self.job.machine.model.ranges_mm, _GRID), self.job.tool_offset_mm
         left = machine.truth.deviation(grid) - exact_deviation(estimate.model, grid, offset, estimate.parameters)
         limits = volumetric_limits(estimate, grid, offset)
         return StatedVce(
@@ -180,16 +198,18 @@ class SequentialStudyTask:
         )
 
     def _estimate(self, seen: Observations) -> Estimate:
-        own = self.machine
+        own, artefact = self.job.machine, self.job.artefact
         if not self.by_evidence:
-            return identify(own.model, seen, self.artefact, own.family, self.options)
-        return identify_by_evidence(lambda order: own.with_order(order).family, seen, self.artefact, self.options)
+            return identify(own.model, seen, artefact, own.family, self.options)
+        return identify_by_evidence(lambda order: own.with_order(order).family, seen, artefact, self.options)
 
 
 def run(case: StudyCase) -> StudyResult:
     """Calibrate `case.machines` random machines with alternating forms of deflection, and compare what each calibration
     states at its end with the truth."""
-    task = _task(case)
+    candidates = SequentialCandidates(case.job)
+    designs = _designed_sets(case)
+    task = _task(case, candidates, designs)
     machines = [(number, DEFLECTION_FORMS[number % len(DEFLECTION_FORMS)]) for number in range(case.machines)]
     found = case.map(task, machines)
     every = [one for stated in found for one in stated]
@@ -197,6 +217,8 @@ def run(case: StudyCase) -> StudyResult:
     rng = generator(case.seed, case.machines)
     coverage = {ending: _by_form([one for one in every if one.ending == ending], rng) for ending in endings}
     curves = tuple(_curve(name, [one for one in every if one.ending == name]) for name in (NAMED, DESIGNED, SEQUENTIAL))
+    bounds = _bounds(case, [one.minutes for one in designs])
+    expected = [(one.minutes, UM_PER_MM * one.valuation.after.aligned_mm) for one in designs]
     return StudyResult(
         name=NAME,
         title="Positions that are chosen during the run",
@@ -212,43 +234,112 @@ def run(case: StudyCase) -> StudyResult:
                 for ending, shares in coverage.items()
             },
             "curves": {curve.name: curve.as_json() for curve in curves},
+            "expected_of_designs": {"minutes": [x for x, _ in expected], "vce_um": [y for _, y in expected]},
+            "information_bound": {
+                "minutes": [one.time for one in bounds],
+                "vce_um": [UM_PER_MM * one.vce_mm for one in bounds],
+            },
         },
-        draw=partial(draw, curves=curves, coverage=coverage),
-        size_in=(10.0, 4.4),
+        draw=partial(draw, curves=curves, expected=expected, bounds=bounds, coverage=coverage),
+        size_in=(10.5, 4.6),
     )
 
 
-def _task(case: StudyCase) -> SequentialStudyTask:
-    candidates = SequentialCandidates(case.job)
-    held_out = set(case.job.held_out)
-    listed = tuple(one for one in case.positions() if one not in held_out)
-    planned = case.procedure.plan((*candidates.positions, *listed))
-    of_set = planned.positions[len(candidates.positions) :]
-    minutes = machine_minutes(replace(case.job, positions=of_set), of_set)
-    of_each = [minutes.per_position[position] for position in of_set]
-    # carrying is shared out evenly: the set is measured station by station
-    set_minutes = np.cumsum(of_each) + minutes.carrying * np.arange(1, len(of_each) + 1) / len(of_each)
+def _task(case: StudyCase, candidates: SequentialCandidates, designs: Sequence[DesignResult]) -> SequentialStudyTask:
+    listed = _listed_set(case)
+    sets = [one.positions for one in designs]
+    planned = case.procedure.plan((*candidates.positions, *listed.positions, *(p for one in sets for p in one)))
+    first, designed = len(candidates.positions) + len(listed.positions), list[TimedSet]()
+    for one in designs:
+        designed.append(TimedSet(tuple(range(first, first + len(one.positions))), one.minutes))
+        first += len(one.positions)
     start = candidates.nothing_seen()
-    limit_s = S_PER_MIN * minutes.total
-    seconds = _seconds(candidates)
-    designed = _designed(candidates.positions, start, seconds, limit_s)
     form, chosen = start.model.candidates, case.job.settings.identification
-    targets = [_LIMIT_OVER_EXPECTED * UM_PER_MM * form.vce(designed[:count]).aligned_mm for count in TARGET_COUNTS]
+    seconds = _seconds(candidates)
+    greedy = _greedy(candidates.positions, start, seconds, max(TARGET_COUNTS))
+    targets = [_LIMIT_OVER_EXPECTED * UM_PER_MM * form.vce(greedy[:count]).aligned_mm for count in TARGET_COUNTS]
     return SequentialStudyTask(
-        machine=case.machine,
-        artefact=case.artefact,
+        job=case.job,
         options=replace(case.options, temperature_standard_uncertainty_k=THERMOMETER_UNCERTAINTY_K),
         start=start,
+        candidates=candidates.positions,
         planned=planned.observations,
         seconds=seconds,
-        designed=designed,
-        set_minutes=tuple(set_minutes.tolist()),
-        limit_s=limit_s,
+        sets={NAMED: listed.prefixes(len(candidates.positions)), DESIGNED: tuple(designed)},
+        limit_s=S_PER_MIN * max(listed.minutes[-1], _LONGEST_MIN),
         targets_um=tuple(targets),
-        tool_offset=case.tool_offset,
         by_evidence=chosen.order == "evidence",
         seed=case.seed,
     )
+
+
+@dataclass(frozen=True)
+class _ListedSet:
+    """Position set of the case with the machine minutes at the end of each position."""
+
+    positions: tuple[Position, ...]
+    minutes: tuple[float, ...]
+
+    def prefixes(self, first: int) -> tuple[TimedSet, ...]:
+        """Return the set and some of its beginnings. `first` is the index of its first position."""
+        counts = [*range(MIN_POSITIONS, len(self.positions), _CURVE_STEP), len(self.positions)]
+        return tuple(TimedSet(tuple(range(first, first + count)), self.minutes[count - 1]) for count in counts)
+
+
+def _listed_set(case: StudyCase) -> _ListedSet:
+    held_out = set(case.job.held_out)
+    listed = case.procedure.plan([one for one in case.positions() if one not in held_out]).positions
+    minutes = machine_minutes(replace(case.job, positions=listed), listed)
+    of_each = [minutes.per_position[position] for position in listed]
+    # carrying is shared out evenly: the set is measured station by station
+    ends = np.cumsum(of_each) + minutes.carrying * np.arange(1, len(of_each) + 1) / len(of_each)
+    return _ListedSet(listed, tuple(ends.tolist()))
+
+
+def _designed_sets(case: StudyCase) -> list[DesignResult]:
+    """Return the best set for each slot, of those with all balls and with a share of them."""
+    jobs = {case.job.settings.tool: case.job}
+    problems = [DesignProblem(jobs, _DESIGN_GRID_DEG, set_alone, share) for share in BALL_SHARES]
+    case.progress("designs", 0, len(_SLOT_SHARES))
+    designs = list[DesignResult]()
+    for number, share in enumerate(_SLOT_SHARES, start=1):
+        goal = TimeSlotGoal(share * _LONGEST_MIN)
+        found = [find_design(one, goal, verify=False, prove=None, say=lambda _: None) for one in problems]
+        designs.append(min(found, key=lambda one: one.valuation.after.aligned_mm))
+        case.progress("designs", number, len(_SLOT_SHARES))
+    return designs
+
+
+def _bounds(case: StudyCase, minutes: Sequence[float]) -> list[InformationBound]:
+    """Return the lower bound of the expected VCE for each of these machine times. The candidates are those of the
+    designs, with all balls and with a share of them."""
+    jobs = {case.job.settings.tool: case.job}
+    problems = [DesignProblem(jobs, _DESIGN_GRID_DEG, set_alone, share) for share in BALL_SHARES]
+    case.progress("information bound", 0, len(minutes))
+    offered = [position for problem in problems for position in problem.offered()]
+    grid = evaluation_grid(case.machine.model.ranges_mm)
+    options = problems[0].options
+    candidates = build_candidates(case.procedure, offered, case.machine.family, options, grid, case.tool_offset)
+    times = _shortest_minutes(case.job, candidates)
+    bounds = list[InformationBound]()
+    for number, one in enumerate(minutes, start=1):
+        bounds.append(information_bound(candidates, times, one))
+        case.progress("information bound", number, len(minutes))
+    return bounds
+
+
+def _shortest_minutes(job: Job, candidates: CandidatePositions) -> Array:
+    """Return a time (N,) in min that the measurement of each candidate takes at least: without the turn of the mount
+    and the way to its first ball.
+
+    It is computed for `_TIMED` candidates. The times of the others lie on the straight line over the number of balls
+    below which none of the computed ones lies.
+    """
+    timed = np.unique(np.linspace(0, candidates.count - 1, min(_TIMED, candidates.count)).round().astype(int))
+    exact = np.array([minutes_at_balls(job, candidates.positions[index]) for index in timed])
+    line = np.stack((np.ones(candidates.count), candidates.balls), axis=1)
+    slope = np.linalg.lstsq(line[timed], exact, rcond=None)[0]
+    return np.asarray(np.maximum(line @ slope + (exact - line[timed] @ slope).min(), exact.min()))
 
 
 def _seconds(candidates: SequentialCandidates) -> Array:
@@ -256,19 +347,19 @@ def _seconds(candidates: SequentialCandidates) -> Array:
     return np.array([candidates.seconds(one, LEAST_CARRY_MIN) for one in standing])
 
 
-def _designed(positions: Sequence[Position], start: PositionsSeen, seconds: Array, limit_s: float) -> tuple[int, ...]:
-    """Return the candidates in the order of falling gain per second, as they are chosen before anything is measured."""
+def _greedy(positions: Sequence[Position], start: PositionsSeen, seconds: Array, count: int) -> tuple[int, ...]:
+    """Return the first `count` candidates in the order of falling gain per second, as they are chosen before anything
+    is measured."""
     state, chosen = start, list[int]()
-    while True:
+    while len(chosen) < count:
         allowed = np.ones(len(positions), dtype=bool)
         allowed[chosen] = False
-        now = seconds[chosen[-1] if chosen else -1]
-        ranked = [index for index in ranked_choices(state, now, allowed).tolist() if now[index] <= limit_s]
-        if not ranked:
-            return tuple(chosen)
-        limit_s -= float(now[ranked[0]])
-        chosen.append(ranked[0])
-        state = state.planned(ranked[0])
+        ranked = ranked_choices(state, seconds[chosen[-1] if chosen else -1], allowed)
+        if not ranked.size:
+            break
+        chosen.append(int(ranked[0]))
+        state = state.planned(chosen[-1])
+    return tuple(chosen)
 
 
 COLUMNS = (
@@ -321,11 +412,11 @@ def _summary(stated: Sequence[StatedVce]) -> Mapping[str, object]:
 
 
 def _curve(name: str, stated: Sequence[StatedVce]) -> VceCurve:
-    counts = sorted({one.positions for one in stated})
-    of = [[one for one in stated if one.positions == count] for count in counts]
+    points = sorted({one.point for one in stated})
+    of = [[one for one in stated if one.point == point] for point in points]
     return VceCurve(
         name,
-        tuple(counts),
+        tuple(round(float(np.mean([one.positions for one in group]))) for group in of),
         tuple(float(np.mean([one.minutes for one in group])) for group in of),
         tuple(float(np.sqrt(np.mean([one.true_um**2 for one in group]))) for group in of),
         tuple(float(np.mean([one.held for one in group])) for group in of),

@@ -10,7 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from agent.figures.style import BAND_OPACITY, GREEN, INK, MARKERS, QUIET, SERIES
+from twin.design.relaxed_design import InformationBound
 from twin.uncertainty.coverage import ObservedCoverage
+from twin.units import UM_PER_MM
 
 BAND = (93.0, 97.0)
 _LOWEST = 70.0
@@ -32,11 +34,23 @@ class VceCurve:
         return {name: list(values) for name, values in vars(self).items() if name != "name"}
 
 
-def draw(figure: Figure, curves: Sequence[VceCurve], coverage: Mapping[str, Mapping[str, ObservedCoverage]]) -> None:
-    """Draw the true VCE against minutes for each way to choose the positions and, beside it, the observed coverage by
-    form of deflection for each target."""
+def draw(
+    figure: Figure,
+    curves: Sequence[VceCurve],
+    expected: Sequence[tuple[float, float]],
+    bounds: Sequence[InformationBound],
+    coverage: Mapping[str, Mapping[str, ObservedCoverage]],
+) -> None:
+    """Draw the true VCE against minutes for each way to choose the positions, with the `expected` VCE in µm of designed
+    sets by minutes and its lower `bounds` and, beside it, the observed coverage by form of deflection for each
+    target."""
     left, right = figure.subplots(1, 2, width_ratios=(1.2, 1.0))
     _draw_curves(left, curves)
+    left.plot(*zip(*expected, strict=True), color=INK, linewidth=0.9, linestyle=":", label="expected of designed sets")
+    minutes = [one.time for one in bounds]
+    lowest = [UM_PER_MM * one.vce_mm for one in bounds]
+    left.plot(minutes, lowest, color=INK, linewidth=0.9, label="information bound, expected")
+    left.legend()
     _draw_coverage(right, coverage)
 
 
@@ -53,7 +67,6 @@ def _draw_curves(axes: Axes, curves: Sequence[VceCurve]) -> None:
     axes.set_ylabel("true VCE, rms over the machines / µm")
     axes.set_ylim(bottom=0.0)
     axes.set_title("Error that remains")
-    axes.legend()
 
 
 def _draw_coverage(axes: Axes, coverage: Mapping[str, Mapping[str, ObservedCoverage]]) -> None:

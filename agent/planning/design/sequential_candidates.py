@@ -15,14 +15,14 @@ import numpy as np
 
 from agent.execution.steps import Plan
 from agent.files import translated
-from agent.planning.cycle_time import plan_minutes
+from agent.planning.cycle_time import plan_minutes, walk_plan
 from agent.planning.design.feasibility import FeasibilityCheck
 from agent.planning.job import Job
 from agent.planning.measuring_order import AT_REST_DEG
 from agent.planning.planning_options import planning_options
 from agent.planning.preflight import Standing
 from agent.planning.time_model import TimeModel, time_model
-from agent.probing.run_plan import MeasuredPositions, MeasuringOrder, measure_positions
+from agent.probing.run_plan import MeasuredPositions, MeasuringOrder, measure_positions, position_key
 from drivers.errors import ConfigurationError
 from twin.arrays import Array
 from twin.artefact.position_set import CHECKABLE_BALLS, Position
@@ -47,6 +47,7 @@ LEAST_CARRY_MIN = 1.0
 """Least time in min for which a person who carries the artefact counts in a choice, whatever the settings state."""
 
 HELD_OUT_PREFIX = "held-out"
+_ALONE = "alone-"
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,10 +67,11 @@ class SequentialCandidates:
         not be told from the others; they are left out, unless the artefact has no more balls. Raises ConfigurationError
         if no position can be measured.
         """
-        job, held_out = self.job, {replace(position, balls=None) for position in self.job.held_out}
+        job, held_out = self.job, {position_key(position) for position in self.job.held_out}
         stations = job.settings.procedure.stations or sorted(job.layout.locations_mm)
-        grid = [Position(station, *angles) for station in stations for angles in orientation_grid(self.grid_deg)]
-        offered = [one for one in (*job.positions, *grid) if replace(one, balls=None) not in held_out]
+        grid = (Position(station, *angles) for station in stations for angles in orientation_grid(self.grid_deg))
+        by_key = {position_key(one): one for one in (*grid, *job.positions)}
+        offered = [one for key, one in by_key.items() if key not in held_out]
         with translated(ConfigurationError, key="stations.places_mm"):
             field, options = self._field, planning_options(job.settings.temperature)
             every = build_candidates(job.procedure, offered, job.machine.family, options, field, job.tool_offset_mm)
@@ -194,6 +196,24 @@ class SequentialCandidates:
 def standing_in(position: Position) -> Standing:
     """Return the place of the artefact after `position` has been measured."""
     return Standing(position.station, position.azimuth_deg, position.elevation_deg)
+
+
+def minutes_one_by_one(job: Job, positions: Sequence[Position]) -> Array:
+    """Return the machine minutes (N,) from the start until each of the N `positions` has been measured, in this order
+    and one by one, as a sequential calibration measures them."""
+    _, steps = walk_plan(job, _one_by_one(job, positions))
+    ends = np.zeros(len(positions))
+    for timed in steps:
+        ends[int(timed.step.key.split("/")[0].removeprefix(_ALONE))] += timed.seconds
+    return np.asarray(np.cumsum(ends) / S_PER_MIN)
+
+
+def _one_by_one(job: Job, positions: Sequence[Position]) -> Plan[None]:
+    standing_at, poses = job.settings.stations.standing_at, None
+    for number, position in enumerate(positions):
+        order = MeasuringOrder(f"{_ALONE}{number}", (position,), standing_at, first_number=number)
+        measured = yield from measure_positions(order, job.layout, job.rules, poses)
+        standing_at, poses = measured.standing_at, measured.mount_poses
 
 
 def held_out_order(job: Job, standing_at: int | None, first_number: int = 0) -> MeasuringOrder:
