@@ -217,6 +217,8 @@ def run(case: StudyCase) -> StudyResult:
     rng = generator(case.seed, case.machines)
     coverage = {ending: _by_form([one for one in every if one.ending == ending], rng) for ending in endings}
     curves = tuple(_curve(name, [one for one in every if one.ending == name]) for name in (NAMED, DESIGNED, SEQUENTIAL))
+    named = case.position_set or NAMED
+    curves = tuple(replace(curve, name=named) if curve.name == NAMED else curve for curve in curves)
     bounds = _bounds(case, [one.minutes for one in designs])
     expected = [(one.minutes, UM_PER_MM * one.valuation.after.aligned_mm) for one in designs]
     return StudyResult(
