@@ -37,7 +37,7 @@ from agent.studies.workers import generator
 from twin.arrays import Array
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
-from twin.design.candidates import CandidatePositions, build_candidates
+from twin.design.candidates import CandidatePositions, joined_candidates
 from twin.design.goals import TimeSlotGoal
 from twin.design.relaxed_design import InformationBound, information_bound
 from twin.design.sequential import PositionsSeen, ranked_choices
@@ -300,8 +300,7 @@ def _listed_set(case: StudyCase) -> _ListedSet:
 
 def _designed_sets(case: StudyCase) -> list[DesignResult]:
     """Return the best set for each slot, of those with all balls and with a share of them."""
-    jobs = {case.job.settings.tool: case.job}
-    problems = [DesignProblem(jobs, _DESIGN_GRID_DEG, set_alone, share) for share in BALL_SHARES]
+    problems = _problems(case)
     case.progress("designs", 0, len(_SLOT_SHARES))
     designs = list[DesignResult]()
     for number, share in enumerate(_SLOT_SHARES, start=1):
@@ -312,16 +311,16 @@ def _designed_sets(case: StudyCase) -> list[DesignResult]:
     return designs
 
 
+def _problems(case: StudyCase) -> list[DesignProblem]:
+    jobs = {case.job.settings.tool: case.job}
+    return [DesignProblem(jobs, _DESIGN_GRID_DEG, set_alone, share) for share in BALL_SHARES]
+
+
 def _bounds(case: StudyCase, minutes: Sequence[float]) -> list[InformationBound]:
     """Return the lower bound of the expected VCE for each of these machine times. The candidates are those of the
     designs, with all balls and with a share of them."""
-    jobs = {case.job.settings.tool: case.job}
-    problems = [DesignProblem(jobs, _DESIGN_GRID_DEG, set_alone, share) for share in BALL_SHARES]
     case.progress("information bound", 0, len(minutes))
-    offered = [position for problem in problems for position in problem.offered()]
-    grid = evaluation_grid(case.machine.model.ranges_mm)
-    options = problems[0].options
-    candidates = build_candidates(case.procedure, offered, case.machine.family, options, grid, case.tool_offset)
+    candidates = joined_candidates([problem.candidates for problem in _problems(case)])
     times = _shortest_minutes(case.job, candidates)
     bounds = list[InformationBound]()
     for number, one in enumerate(minutes, start=1):

@@ -66,6 +66,20 @@ class CandidatePositions:
         return self.form.expected(self.covariance(chosen))
 
 
+def joined_candidates(parts: Sequence[CandidatePositions]) -> CandidatePositions:
+    """Return the candidates of all `parts`, which have the same unknowns. The parts may contain the same positions with
+    different balls."""
+    rank = max(part.factors.shape[1] for part in parts)
+    padded = [np.pad(part.factors, ((0, 0), (0, rank - part.factors.shape[1]), (0, 0))) for part in parts]
+    return CandidatePositions(
+        positions=tuple(position for part in parts for position in part.positions),
+        balls=np.concatenate([part.balls for part in parts]),
+        factors=np.concatenate(padded),
+        precision=parts[0].precision,
+        form=parts[0].form,
+    )
+
+
 def orientation_grid(step_deg: float) -> tuple[tuple[float, float], ...]:
     """Return all pairs (azimuth, elevation) in degrees on a grid with the step `step_deg`. Azimuths cover the full
     circle; elevations run from -90° to 90°.

@@ -85,7 +85,7 @@ class DesignProblem:
         """
         job = self.job
         grid = evaluation_grid(job.machine.model.ranges_mm)
-        offered = [position for position in self.offered() if position not in self.refused]
+        offered = [position for position in self._offered() if position not in self.refused]
         return build_candidates(self.procedure, offered, job.machine.family, self.options, grid, job.tool_offset_mm)
 
     @cached_property
@@ -185,8 +185,7 @@ class DesignProblem:
         each = [run_minutes(job, self.plan_of) for job in self.runs(chosen, held_out)]
         return RunMinutes({phase: sum(one.by_phase[phase] for one in each) for phase in PHASES})
 
-    def offered(self) -> Iterator[Position]:
-        """Yield the positions of the grid at all stations, for each tool."""
+    def _offered(self) -> Iterator[Position]:
         job = self.job
         stations = job.settings.procedure.stations or sorted(job.layout.locations_mm)
         listed = job.settings.verification.positions_deg is not None  # otherwise they are chosen to suit the design
