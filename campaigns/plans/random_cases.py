@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,8 @@ from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
 from agent.settings.schema import Settings
 from simulators.scenario import Scenario, ScenarioDocument, build_scenario
-from twin.artefact.position_set import POSITION_SETS, Position
+from twin.artefact.position_set import CHECKABLE_BALLS, POSITION_SETS, Position
+from twin.collision.measuring_layout import MeasuringLayout
 
 Document = dict[str, Any]
 ROLES = ("machine", "probe", "store", "thermometer", "operator", "mount")
@@ -301,10 +302,11 @@ def _artefact(sizes: Sizes) -> Document:
 def _procedure(dice: Dice, sizes: Sizes) -> Document:
     """Return a procedure whose limits are wide enough for the drawn noise, because this campaign tests only motion."""
     approach = dice.between(1.5, 6)
-    touches = dice.one_of(*[5] * 26, 9, 9, 13, 25)
+    touches = dice.one_of(*[3] * 8, *[5] * 18, 9, 9, 13, 25)
     return {
         "procedure": {
             "touches_per_ball": touches,
+            "repeat_first_ball": touches != 3 or approach < 3.0,
             "touch_feed_mm_per_min": dice.between(150, 900),
             "approach_mm": approach,
             "search_mm": dice.between(1.5, 6),
@@ -325,7 +327,7 @@ def _procedure(dice: Dice, sizes: Sizes) -> Document:
             "drift_limit_um": 20.0,
         },
         "probe_check": {"enabled": dice.chance(0.15), "touches": 3, "limit_um": 6.0},
-        "qualification": {"enabled": dice.chance(0.1)},
+        "qualification": {"enabled": dice.chance(0.1) or touches == 3},
         "reversal": {"enabled": dice.chance(0.1)},
     }
 
@@ -347,12 +349,21 @@ def _with_positions(dice: Dice, settings: Document, directory: Path, spindle: Sp
         if held is None:
             held = [azimuth, elevation]
         elif [azimuth, elevation] != held:
-            listed.append(position)
+            listed.append(_with_chosen_balls(position, layout))
         if len(listed) == wanted:
             break
     settings["verification"] = {"positions_deg": [held or [30.0, 30.0]], "stations": [held_at]}
     settings["procedure"] |= {"position_set": _position_file(dice, listed, directory), "stations": stations}
     return prepare_job(Settings.model_validate(settings), directory)
+
+
+def _with_chosen_balls(position: Position, layout: MeasuringLayout) -> Position:
+    """Return `position` with every second ball within reach, if it stands at an odd azimuth and enough balls remain for
+    the check of the touches."""
+    balls = np.flatnonzero(layout.reachable(position, layout.nominal(position)))[::2].tolist()
+    if round(position.azimuth_deg) % 2 == 0 or len(balls) < CHECKABLE_BALLS:
+        return position
+    return replace(position, balls=tuple(balls))
 
 
 def _orientation(dice: Dice, spindle: Spindle) -> tuple[float, float]:
@@ -385,12 +396,13 @@ def _position_file(dice: Dice, listed: list[Position], directory: Path) -> str:
     listed.sort(key=lambda p: p.station)
     if dice.chance(0.5):
         path = directory / "positions.csv"
-        rows = [f"{p.station},{p.azimuth_deg},{p.elevation_deg}" for p in listed]
-        path.write_text("\n".join(["station,azimuth_deg,elevation_deg", *rows]) + "\n")
+        rows = [f"{p.station},{p.azimuth_deg},{p.elevation_deg},{' '.join(map(str, p.balls or ()))}" for p in listed]
+        path.write_text("\n".join(["station,azimuth_deg,elevation_deg,balls", *rows]) + "\n")
         return str(path)
     path = directory / "positions.toml"
-    keys = ("station", "azimuth_deg", "elevation_deg")
-    path.write_text(toml({"positions": [{key: getattr(p, key) for key in keys} for p in listed]}))
+    keys = ("station", "azimuth_deg", "elevation_deg", "balls")
+    tables = [{key: value for key in keys if (value := getattr(p, key)) is not None} for p in listed]
+    path.write_text(toml({"positions": tables}))
     return str(path)
 
 
