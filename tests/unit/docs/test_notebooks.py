@@ -46,7 +46,7 @@ def kernel(tmp_path_factory: pytest.TempPathFactory) -> Iterator[AsyncKernelMana
         for name in ("IPYTHONDIR", "JUPYTER_RUNTIME_DIR", "JUPYTER_CONFIG_DIR", "JUPYTER_DATA_DIR", "MPLCONFIGDIR"):
             patch.setenv(name, str(directory / name.lower()))
         patch.setenv("MPLBACKEND", "module://matplotlib_inline.backend_inline")
-        manager = NotebookClient(nbformat.v4.new_notebook(), kernel_name="python3").create_kernel_manager()
+        manager = AsyncKernelManager(kernel_name="python3")
         yield manager
         run_sync(manager.shutdown_kernel)(now=True)
 
@@ -56,6 +56,7 @@ def execute(notebook: Any, kernel: AsyncKernelManager, directory: Path) -> None:
     try:
         client.execute(cleanup_kc=False)
     finally:
+        assert client.kc is not None
         client.kc.stop_channels()
 
 
