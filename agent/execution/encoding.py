@@ -9,6 +9,7 @@ import json
 import zlib
 from dataclasses import dataclass, fields
 from enum import Enum
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -28,8 +29,15 @@ class LostPlacement:
 
 def encode_step(step: Step) -> str:
     """Return the fields of the step, except its key and the functions that it contains, as JSON text."""
-    values = {f.name: getattr(step, f.name) for f in fields(step) if f.name != "key"}
-    return to_json({name: value for name, value in values.items() if not callable(value)})
+    kind: type = type(step)
+    values = [(name, getattr(step, name)) for name in _field_names(kind)]
+    return to_json({name: value for name, value in values if not callable(value)})
+
+
+@cache
+def _field_names(kind: type) -> tuple[str, ...]:
+    """Return the names of the fields of a class of steps, except its key."""
+    return tuple(f.name for f in fields(kind) if f.name != "key")
 
 
 def encode_result(result: object) -> str | None:
@@ -53,7 +61,7 @@ def decode_result(kind: str, text: str | None) -> Any:
 
 
 def to_json(value: object) -> str:
-    return json.dumps(value, default=_plain, separators=(",", ":"), allow_nan=False)
+    return _ENCODER.encode(value)
 
 
 def table_digest(table: TableImage) -> int:
@@ -104,3 +112,7 @@ def _plain(value: object) -> Any:  # noqa: PLR0911  one line a type
     if hasattr(value, "items"):
         return dict(value.items())
     raise TypeError(f"{type(value).__name__} cannot be written to the journal")
+
+
+_ENCODER = json.JSONEncoder(default=_plain, separators=(",", ":"), allow_nan=False)
+"""Encoder of all texts: `json.dumps` would make one for each text, which takes as long as to encode a step."""

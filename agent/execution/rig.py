@@ -10,6 +10,7 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TypeVar, cast
 
 import numpy as np
@@ -128,15 +129,25 @@ class Rig:
     def link_interruptions(self) -> dict[str, int]:
         """Return the number of interruptions of the link from which each device has recovered, by device name."""
         found: dict[str, int] = {}
-        for name, one in self.devices.items():
-            if isinstance(one, RestorableLink):
-                with suppress(DeviceError):  # a count must not end a run, nor hide the error that has ended it
-                    found[name] = one.interruptions()
+        for name, one in self._restorable.items():
+            with suppress(DeviceError):  # a count must not end a run, nor hide the error that has ended it
+                found[name] = one.interruptions()
         return found
 
     def impairments(self) -> dict[str, list[str]]:
         """Return what is impaired at present in each device that says so, by device name."""
-        return {name: one.impairments() for name, one in self.devices.items() if isinstance(one, ImpairableDevice)}
+        return {name: one.impairments() for name, one in self._impairable.items()}
+
+    @cached_property
+    def _restorable(self) -> Mapping[str, RestorableLink]:
+        """Devices with a restorable link, by name. They are asked after every step, and to find out from its methods
+        whether a device is one takes longer than to ask it."""
+        return {name: one for name, one in self.devices.items() if isinstance(one, RestorableLink)}
+
+    @cached_property
+    def _impairable(self) -> Mapping[str, ImpairableDevice]:
+        """Devices that say what is impaired, by name; found once, as `_restorable`."""
+        return {name: one for name, one in self.devices.items() if isinstance(one, ImpairableDevice)}
 
     def await_standstill(self) -> None:
         """Wait until the axes of the machine stand still.

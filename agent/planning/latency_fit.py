@@ -8,13 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import TypeAlias, cast
 
-from agent.execution.encoding import encode_result, encode_step
 from agent.execution.journal_rows import StepRow
-from agent.execution.steps import Point, Step
+from agent.execution.steps import AskOperator, MoveTo, OrientTo, Point, ReadPosition, Step, TouchTowards
 from agent.planning.time_model import TimeModel
-from drivers.roles import OperatorTask
+from drivers.roles import OperatorTask, Touch
 from twin.collision.motion_law import straight_path
 from twin.units import S_PER_MIN
 
@@ -146,13 +145,10 @@ class LatencyRecord:
     def observe(self, step: Step, result: object, took_s: float) -> None:
         """Take note of a step that took `took_s` in s. Steps from an unknown position do not count, nor do kinds of
         steps that take no time."""
-        kind = type(step).__name__
-        if kind not in (*KINDS, "ReadPosition"):
-            return
-        row = StepRow(0, step.key, kind, encode_step(step), 0.0, took_s, encode_result(result), None)
-        observed = self._replay.observed(row)
-        if observed is not None:
-            self._beyond_s[kind] += took_s - observed.motion_s
+        motion_s = self._replay.motion_s(step, result)
+        if motion_s is not None:
+            kind = type(step).__name__
+            self._beyond_s[kind] += took_s - motion_s
             self._counts[kind] += 1
 
     def count(self, kind: str) -> int:
@@ -175,18 +171,36 @@ class _Replay:
         if step.finished_s is None:
             self._at_mm = self._turned_deg = None
             return None
-        motion_s = self._motion_s(step)
+        motion_s = self._stored_motion_s(step)
         return None if motion_s is None else ObservedStep(step.kind, motion_s, step.finished_s - step.begun_s)
 
-    def _motion_s(self, step: StepRow) -> float | None:
-        """Return the time in s of the motion alone, None if unknown, and store the position reached."""
+    def motion_s(self, step: Step, result: object) -> float | None:
+        """Return the time in s of the motion alone of a step that has ended with `result`, None if unknown, and store
+        the position reached. The numbers are those of its row in the journal."""
+        match step:
+            case ReadPosition():
+                self._at_mm = _triple(cast(Sequence[float], result))
+            case MoveTo():
+                return self._move_s(step.target_mm, step.feed_mm_per_s)
+            case TouchTowards():
+                latched = result.position_mm if isinstance(result, Touch) else None
+                return self._touch_s(step.target_mm, step.feed_mm_per_s, latched)
+            case OrientTo():
+                return self._turn_s((step.azimuth_deg, step.elevation_deg))
+            case AskOperator() if step.request.task is not OperatorTask.CONSENT:
+                return 0.0
+        return None
+
+    def _stored_motion_s(self, step: StepRow) -> float | None:
+        """Return what `motion_s` returns, for a step of the journal."""
         match step.kind:
             case "ReadPosition":
                 self._at_mm = _triple(step.result)
             case "MoveTo":
                 return self._move_s(_triple(step.detail["target_mm"]), step.detail["feed_mm_per_s"])
             case "TouchTowards":
-                return self._touch_s(step)
+                target_mm, feed_mm_per_s = _triple(step.detail["target_mm"]), step.detail["feed_mm_per_s"]
+                return self._touch_s(target_mm, feed_mm_per_s, step.result.get("touch"))
             case "OrientTo":
                 return self._turn_s((step.detail["azimuth_deg"], step.detail["elevation_deg"]))
             case "AskOperator" if step.detail["request"]["task"] != OperatorTask.CONSENT.value:
@@ -197,14 +211,13 @@ class _Replay:
         start_mm, self._at_mm = self._at_mm, target_mm
         return None if start_mm is None else self._model.move_s(start_mm, target_mm, feed_mm_per_s)
 
-    def _touch_s(self, step: StepRow) -> float | None:
+    def _touch_s(self, target_mm: Point, feed_mm_per_s: float, latched_mm: Sequence[float] | None) -> float | None:
         start_mm, self._at_mm = self._at_mm, None
         if start_mm is None:
             return None
-        latched = step.result.get("touch")
-        trip_mm = None if latched is None else math.dist(start_mm, latched)
-        path = straight_path(start_mm, _triple(step.detail["target_mm"]))
-        motion_s, self._at_mm = self._model.touch_s(path, step.detail["feed_mm_per_s"], trip_mm)
+        trip_mm = None if latched_mm is None else math.dist(start_mm, latched_mm)
+        path = straight_path(start_mm, target_mm)
+        motion_s, self._at_mm = self._model.touch_s(path, feed_mm_per_s, trip_mm)
         return motion_s
 
     def _turn_s(self, target_deg: _Angles) -> float | None:

@@ -81,6 +81,7 @@ SHORT = Programme(
     ("calibrated by hand", "timer at noon, link loss", "doors open, power failure", "abort", DAMAGE),
     {
         "[verification]\nstations = [1, 4]": f"[verification]\n{HELD_OUT}\nstations = [1]\nmax_chi2 = 1e3",
+        'position_set = "S3"': 'position_set = "S3"\nstations = [1, 4]',
         "[timing]": "[gates]\nmin_degrees_of_freedom = 1\nmax_unmeasured_fraction = 10.0\nmax_chi2 = 1e3\n\n[timing]",
     },
     compared=False,

@@ -13,7 +13,6 @@ from simulators.scenario import AgeingSettings, Scenario
 from simulators.world.field_changes import CollisionInRun
 from simulators.world.noise import generator
 from twin.arrays import Array
-from twin.identification import process_noise
 from twin.machine.error_model import ErrorModel
 from twin.machine.kinematic_chain import AXES
 from twin.machine.machine_description import MachineDescription
@@ -112,6 +111,9 @@ def _random_walk_change(
     """
     if not (ageing.walk_um and ageing.night):
         return np.zeros(model.size)
+    # Takes a third of the start of a simulator, and hardly any scenario has a random walk.
+    from twin.identification import process_noise  # noqa: PLC0415
+
     family = family_from_amplitudes(model, description.amplitudes)
     step = process_noise(family, 1e-3 * ageing.walk_um, tool_offset)
     nights = range(1, ageing.night + 1)

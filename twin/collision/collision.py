@@ -12,6 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 from operator import or_
+from typing import TypeAlias
 
 from twin.collision.bodies import Body
 from twin.collision.geometry import Point, separation, swept_contact
@@ -45,7 +46,9 @@ class Scene(Immutable):
         self.obstacles = tuple(obstacles)
         self._boxes = [(body.shape.lower, body.shape.upper) for body in self.moving]
         lower, upper = [body.shape.lower for body in self.obstacles], [body.shape.upper for body in self.obstacles]
-        self._spans = [_Spans.of([low[axis] for low in lower], [high[axis] for high in upper]) for axis in range(3)]
+        self._along_x, self._along_y, self._along_z = (
+            _spans([low[axis] for low in lower], [high[axis] for high in upper]) for axis in range(3)
+        )
 
     def first_hit(
         self,
@@ -120,14 +123,17 @@ class Scene(Immutable):
         y0, y1 = (y0 - clearance_mm, y1 + clearance_mm) if y0 < y1 else (y1 - clearance_mm, y0 + clearance_mm)
         z0, z1 = (z0 - clearance_mm, z1 + clearance_mm) if z0 < z1 else (z1 - clearance_mm, z0 + clearance_mm)
         # Overlap per axis is a bit set of obstacles; the sets of the three axes are intersected.
-        along_x, along_y, along_z = self._spans
+        # The sets of `_Spans` are looked up here: a call for each body and axis would take longer than the look-up.
+        x_lowers, x_begun, x_uppers, x_left = self._along_x
+        y_lowers, y_begun, y_uppers, y_left = self._along_y
+        z_lowers, z_begun, z_uppers, z_left = self._along_z
         pairs = []
         for i, ((lx, ly, lz), (ux, uy, uz)) in enumerate(self._boxes):
-            met = along_z.met(lz + z0, uz + z1)
+            met = z_begun[bisect_right(z_lowers, uz + z1)] & z_left[bisect_left(z_uppers, lz + z0)]
             if met:
-                met &= along_x.met(lx + x0, ux + x1)
+                met &= x_begun[bisect_right(x_lowers, ux + x1)] & x_left[bisect_left(x_uppers, lx + x0)]
             if met:
-                met &= along_y.met(ly + y0, uy + y1)
+                met &= y_begun[bisect_right(y_lowers, uy + y1)] & y_left[bisect_left(y_uppers, ly + y0)]
             while met:
                 # The lowest bit that is set.
                 last = met & -met
@@ -136,28 +142,20 @@ class Scene(Immutable):
         return pairs
 
 
-@dataclass(frozen=True, slots=True)
-class _Spans:
-    """Extents of bodies along one axis. A set of bodies is an integer in which bit j stands for body j.
+_Spans: TypeAlias = tuple[Sequence[float], Sequence[int], Sequence[float], Sequence[int]]
+"""Extents of bodies along one axis: `lowers`, `begun`, `uppers`, `left`. A set of bodies is an integer in which bit j
+stands for body j.
 
-    `lowers`: lower bounds in ascending order; `begun[n]`: the set of the n bodies with the smallest lower bounds.
-    `uppers`: upper bounds in ascending order; `left[n]`: the set of all bodies except the n with the smallest upper
-    bounds.
-    """
+`lowers`: lower bounds in ascending order; `begun[n]`: the set of the n bodies with the smallest lower bounds. `uppers`:
+upper bounds in ascending order; `left[n]`: the set of all bodies except the n with the smallest upper bounds. The
+bodies whose extent overlaps the interval from a to b, ends included, are those that begin up to b and do not end before
+a: `begun[bisect_right(lowers, b)] & left[bisect_left(uppers, a)]`.
+"""
 
-    lowers: Sequence[float]
-    begun: Sequence[int]
-    uppers: Sequence[float]
-    left: Sequence[int]
 
-    @classmethod
-    def of(cls, lower: Sequence[float], upper: Sequence[float]) -> _Spans:
-        from_below = sorted((low, 1 << body) for body, low in enumerate(lower))
-        from_above = sorted((high, 1 << body) for body, high in enumerate(upper))
-        begun = accumulate((bit for _, bit in from_below), or_, initial=0)
-        left = accumulate((bit for _, bit in reversed(from_above)), or_, initial=0)
-        return cls([low for low, _ in from_below], [*begun], [high for high, _ in from_above], [*left][::-1])
-
-    def met(self, low: float, high: float) -> int:
-        """Return the set of bodies whose extent overlaps the interval from `low` to `high`, ends included."""
-        return self.begun[bisect_right(self.lowers, high)] & self.left[bisect_left(self.uppers, low)]
+def _spans(lower: Sequence[float], upper: Sequence[float]) -> _Spans:
+    from_below = sorted((low, 1 << body) for body, low in enumerate(lower))
+    from_above = sorted((high, 1 << body) for body, high in enumerate(upper))
+    begun = accumulate((bit for _, bit in from_below), or_, initial=0)
+    left = accumulate((bit for _, bit in reversed(from_above)), or_, initial=0)
+    return [low for low, _ in from_below], [*begun], [high for high, _ in from_above], [*left][::-1]

@@ -12,6 +12,7 @@ costs of the new legs are then not computed.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from functools import cache
 from itertools import pairwise
 from typing import TypeVar
 
@@ -42,7 +43,25 @@ def shortest_tour(
     """
     if len(nodes) <= MAX_EXACT_NODES:
         return _exact(nodes, start, end, cost)
-    return _improved(_nearest(nodes, start, lower_bound), start, end, cost, lower_bound)
+    # Legs are looked up millions of times, and the hash of a number takes a tenth of the time of that of a node.
+    numbers: dict[Node, int] = {}
+    for node in _stops(nodes, start, end):
+        numbers.setdefault(node, len(numbers))
+    named = list(numbers)
+    first, last = numbers[start], None if end is None else numbers[end]
+    exact, quick = _by_number(cost, named), _by_number(lower_bound, named)
+    nearest = _nearest([numbers[node] for node in nodes], first, quick)
+    return [named[number] for number in _improved(nearest, first, last, exact, quick)]
+
+
+def _by_number(function: Callable[[Node, Node], float], named: Sequence[Node]) -> Callable[[int, int], float]:
+    """Return `function` as a function of the indices of its nodes in `named`, with a cache."""
+
+    @cache
+    def of_numbers(first: int, second: int) -> float:
+        return function(named[first], named[second])
+
+    return of_numbers
 
 
 def _stops(order: Sequence[Node], start: Node, end: Node | None) -> list[Node]:

@@ -8,13 +8,14 @@ study draws many of them at random.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from twin.arrays import Array
 from twin.machine.deflection import DeflectionGrid
 from twin.machine.error_model import ErrorModel
-from twin.machine.forward_model import exact_deviation
+from twin.machine.forward_model import ExactDeviation
 from twin.machine.machine_description import MachineDescription
 from twin.machine.machine_population import family_from_amplitudes
 
@@ -40,13 +41,23 @@ class TrueMachine:
         The axis positions and the deviation have shape (n, 3) and are in mm.
         """
         total = np.zeros_like(bare_positions)
-        if self.model is not None:
-            total += exact_deviation(self.model, bare_positions, self.tool_offset, self.parameters)
+        if self._parametric is not None:
+            total += self._parametric.at(bare_positions)
         if self.deflection is not None:
-            lower = [nodes[0] for nodes in self.deflection.nodes]
-            upper = [nodes[-1] for nodes in self.deflection.nodes]
-            total += self.deflection.at(np.clip(bare_positions, lower, upper))
+            total += self.deflection.at(np.clip(bare_positions, *self._deflection_limits_mm))
         return total
+
+    @cached_property
+    def _parametric(self) -> ExactDeviation | None:
+        """Deviation by the parametric errors; None for a machine without them."""
+        return None if self.model is None else ExactDeviation(self.model, self.tool_offset, self.parameters)
+
+    @cached_property
+    def _deflection_limits_mm(self) -> tuple[Array, Array]:
+        """Lower and upper corner, (3,) each in mm, of the grid of the deflection."""
+        assert self.deflection is not None  # noqa: S101  narrowed by the caller
+        nodes = self.deflection.nodes
+        return np.array([one[0] for one in nodes]), np.array([one[-1] for one in nodes])
 
     @property
     def is_perfect(self) -> bool:

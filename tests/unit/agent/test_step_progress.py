@@ -48,6 +48,7 @@ def test_an_impaired_device_is_noted_when_it_begins_and_when_it_ends() -> None:
 
 
 def test_a_rig_asks_only_the_devices_that_can_say_what_is_impaired() -> None:
-    mount = SimpleNamespace(impairments=lambda: ["no heartbeat of node 5"])
-    rig = SimpleNamespace(devices={"cnc": SimpleNamespace(), "mount": mount})
-    assert Rig.impairments(rig) == {"mount": ["no heartbeat of node 5"]}  # type: ignore[arg-type]
+    mount: Any = SimpleNamespace(impairments=lambda: ["no heartbeat of node 5"])
+    other: Any = SimpleNamespace()
+    rig = Rig({"cnc": other, "mount": mount}, other, other, {1: mount}, other, other, other, other)
+    assert rig.impairments() == {"mount": ["no heartbeat of node 5"]}

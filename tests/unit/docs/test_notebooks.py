@@ -5,11 +5,14 @@ from __future__ import annotations
 import ast
 import base64
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import nbformat
 import pytest
+from jupyter_client.manager import AsyncKernelManager
+from jupyter_core.utils import run_sync
 from nbclient import NotebookClient
 
 FOLDER = Path(__file__).parents[3] / "docs" / "notebooks"
@@ -35,16 +38,36 @@ def pictures_in(outputs: list[Any]) -> list[bytes]:
     return [base64.b64decode(output.data["image/png"]) for output in outputs if "image/png" in output.get("data", {})]
 
 
+@pytest.fixture(scope="module")
+def kernel(tmp_path_factory: pytest.TempPathFactory) -> Iterator[AsyncKernelManager]:
+    """One kernel for all notebooks: to start one and to import the library takes longer than most notebooks."""
+    directory = tmp_path_factory.mktemp("jupyter")
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("IPYTHONDIR", "JUPYTER_RUNTIME_DIR", "JUPYTER_CONFIG_DIR", "JUPYTER_DATA_DIR", "MPLCONFIGDIR"):
+            patch.setenv(name, str(directory / name.lower()))
+        patch.setenv("MPLBACKEND", "module://matplotlib_inline.backend_inline")
+        manager = AsyncKernelManager(kernel_name="python3")
+        yield manager
+        run_sync(manager.shutdown_kernel)(now=True)
+
+
+def execute(notebook: Any, kernel: AsyncKernelManager, directory: Path) -> None:
+    client = NotebookClient(notebook, km=kernel, timeout=600, resources={"metadata": {"path": str(directory)}})
+    try:
+        client.execute(cleanup_kc=False)
+    finally:
+        assert client.kc is not None
+        client.kc.stop_channels()
+
+
 @pytest.fixture
-def executed(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    for name in ("IPYTHONDIR", "JUPYTER_RUNTIME_DIR", "JUPYTER_CONFIG_DIR", "JUPYTER_DATA_DIR", "MPLCONFIGDIR"):
-        monkeypatch.setenv(name, str(tmp_path / name.lower()))
-    monkeypatch.setenv("MPLBACKEND", "module://matplotlib_inline.backend_inline")
+def executed(request: pytest.FixtureRequest, tmp_path: Path, kernel: AsyncKernelManager) -> Any:
+    """Notebook that has run without anything that another has defined, in a directory of its own."""
+    # First of all out of the directory of the notebook before, which is deleted: there nothing can be imported.
+    emptied = f"import os\nos.chdir({str(tmp_path)!r})\nimport matplotlib\nmatplotlib.rcdefaults()\n%reset -f"
+    execute(nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(emptied)]), kernel, tmp_path)
     notebook = read(request.param)
-    client = NotebookClient(
-        notebook, timeout=600, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}
-    )
-    client.execute()
+    execute(notebook, kernel, tmp_path)
     return notebook
 
 
