@@ -10,17 +10,6 @@ from agent.execution.run_record import read_record
 from agent.results.decision_kinds import OUTCOME
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
-TWO_OF_THREE = """station,azimuth_deg,elevation_deg
-1,0,0
-1,120,0
-2,30,0
-2,150,0
-3,30,0
-3,-90,0
-4,0,0
-4,-120,0
-"""
-"""Two of the three positions that the shipped case measures at each station."""
 
 
 def test_a_run_says_what_made_it_longer_and_the_next_plan_knows(tmp_path: Path) -> None:
@@ -31,11 +20,10 @@ def test_a_run_says_what_made_it_longer_and_the_next_plan_knows(tmp_path: Path) 
         ('state_directory = "../runs"', f'state_directory = "{tmp_path}/runs"'),
         ('"machines/', f'"{CONFIG}/machines/'),
         ('"artefacts/', f'"{CONFIG}/artefacts/'),
-        ('"hand-placed-positions.csv"', f'"{tmp_path}/positions.csv"'),
+        ('"hand-placed-positions.csv"', f'"{CONFIG}/hand-placed-positions.csv"'),
     ):
         assert given in text
         text = text.replace(given, hasty)
-    (tmp_path / "positions.csv").write_text(TWO_OF_THREE, encoding="utf-8")
     hasty_settings = tmp_path / "settings.toml"
     hasty_settings.write_text(text, encoding="utf-8")
 
