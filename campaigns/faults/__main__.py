@@ -3,10 +3,10 @@
     python -m campaigns.faults [--count 10000] [--seed 1] [--workers 2] [--only NIGHT]
 
 Each night is a whole run with probe check, qualification, measuring, identification, staging, activation and
-verification on a simulated machine drawn for it, with the table of an earlier run (the former table) active. One fault of
-the controller, the cell, the computer or the wire begins at a random instant with a random size. Nights that share a
-machine share the time before their faults: the process is forked at each of them. After the night the fault is removed
-and volcal is started again.
+verification on a simulated machine, with the table of an earlier run (the former table) active. One fault of the
+controller, the cell, the computer or the wire begins at a random instant with a random size. Fifty nights have one
+machine and share the time before their faults: the process is forked at each of them. One night in 25 has a real Modbus
+TCP link with a proxy that disturbs it. After the night the fault is removed and volcal is started again.
 
 A night that violates an invariant is printed, one JSON object a line, with its seed and number; `--only NIGHT` plays it
 again in this process and prints its whole record. The exit code is 0 only if no invariant is violated.
@@ -21,7 +21,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from multiprocessing import get_context
 from time import perf_counter, process_time
 from typing import Any
@@ -30,18 +30,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # must be set before numpy i
 
 from campaigns.faults.fault_kinds import plan_fault
 from campaigns.faults.night_record import INVARIANTS, NightRecord, violations
-from campaigns.faults.nights import play_nights
-
-NIGHTS_PER_MACHINE = 50
-
-
-@dataclass(frozen=True)
-class Share:
-    """Nights of one machine: those with the numbers from `first` to before `end`."""
-
-    seed: int
-    first: int
-    end: int
+from campaigns.faults.nights import NIGHTS_PER_MACHINE, Share, machine_seed, play_nights, play_share
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -55,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     records: list[NightRecord] = []
     cpu_s = 0.0
     if given.only is not None:
-        records = play_nights([plan_fault(given.seed, given.only)], _machine_seed(given.seed, given.only), forked=False)
+        records = play_nights([plan_fault(given.seed, given.only)], machine_seed(given.seed, given.only), forked=False)
         print(json.dumps(asdict(records[0]), default=str))
         cpu_s = process_time()
     for found, used_s in [] if given.only is not None else _played(given.seed, given.count, given.workers):
@@ -85,23 +74,6 @@ def _played(seed: int, count: int, workers: int) -> Iterator[tuple[list[NightRec
         yield from pool.map(play_share, shares)
 
 
-def play_share(share: Share) -> tuple[list[NightRecord], float]:
-    """Return the records of the nights of one machine, and the CPU time in s that they took with their copies."""
-    began_s = _cpu_s()
-    faults = [plan_fault(share.seed, night) for night in range(share.first, share.end)]
-    records = play_nights(faults, _machine_seed(share.seed, share.first))
-    return sorted(records, key=lambda night: night.night), _cpu_s() - began_s
-
-
-def _cpu_s() -> float:
-    spent = os.times()
-    return spent.user + spent.system + spent.children_user + spent.children_system
-
-
-def _machine_seed(seed: int, night: int) -> int:
-    return 1000 * seed + night // NIGHTS_PER_MACHINE
-
-
 def _summary(night: NightRecord) -> dict[str, Any]:
     return {
         "kind": night.kind,
@@ -109,6 +81,7 @@ def _summary(night: NightRecord) -> dict[str, Any]:
         "size": night.size,
         "state": night.state,
         "reason": night.reason,
+        "morning": night.morning_says,
     }
 
 

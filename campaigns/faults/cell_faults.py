@@ -11,8 +11,8 @@ from numpy.random import Generator
 
 from campaigns.faults.fault_scene import FaultScene
 from drivers.roles import AxisLimits, Vector
-from twin.artefact.artefact import Artefact
 from twin.arrays import Array
+from twin.artefact.artefact import Artefact
 
 MM_PER_INCH = 25.4
 

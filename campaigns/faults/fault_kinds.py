@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
-from campaigns.faults import cell_faults, computer_faults, controller_faults, wire_faults
+from campaigns.faults import cell_faults, computer_faults, controller_faults, proxy_faults, wire_faults
 from campaigns.faults.fault_scene import FaultScene
 
 CONTROLLER, CELL, COMPUTER, WIRE = "controller", "cell", "computer", "wire"
@@ -24,15 +24,17 @@ START_SHARE = 0.6
 class FaultKind:
     """Kind of fault. `apply` lets it begin now, with a size drawn by the generator. `reasons` are words of which the
     reason of a run that ends because of it must contain one. If `of_evening` is True, the fault usually is there from
-    the beginning."""
+    the beginning. If `proxied` is True, it disturbs a real link."""
 
     group: str
     apply: Callable[[FaultScene, Generator], None]
     reasons: tuple[str, ...]
     of_evening: bool = False
+    proxied: bool = False
 
 
 _LINK = tuple(text for _, text in wire_faults.ERRORS)
+_TCP = ("link modbus-tcp", "heartbeat")
 KINDS: dict[str, FaultKind] = {
     "busy": FaultKind(CONTROLLER, controller_faults.busy, ("the controller is busy",)),
     "emergency stop": FaultKind(CONTROLLER, controller_faults.emergency_stop, ("emergency stop",)),
@@ -65,7 +67,16 @@ KINDS: dict[str, FaultKind] = {
     "interrupted link": FaultKind(WIRE, wire_faults.interrupted_link, (*_LINK, "heartbeat")),
     "lost call": FaultKind(WIRE, wire_faults.lost_call, _LINK),
     "lost answer": FaultKind(WIRE, wire_faults.lost_answer, _LINK),
+    "TCP delayed": FaultKind(WIRE, proxy_faults.delayed_frames, _TCP, proxied=True),
+    "TCP lost": FaultKind(WIRE, proxy_faults.lost_frames, _TCP, proxied=True),
+    "TCP repeated": FaultKind(WIRE, proxy_faults.repeated_frames, _TCP, proxied=True),
+    "TCP reordered": FaultKind(WIRE, proxy_faults.reordered_frames, _TCP, proxied=True),
+    "TCP garbled": FaultKind(WIRE, proxy_faults.garbled_frames, _TCP, proxied=True),
+    "TCP cut": FaultKind(WIRE, proxy_faults.cut_connection, _TCP, proxied=True),
+    "TCP stuck": FaultKind(WIRE, proxy_faults.stuck_connection, _TCP, proxied=True),
 }
+PROXIED_EVERY = 25
+"""One night in so many has a real link; it takes several times as long as the others."""
 
 
 @dataclass(frozen=True)
@@ -91,9 +102,11 @@ def plan_fault(seed: int, night: int) -> PlannedFault:
 
     All kinds occur equally often: each of successive nights has another one, in an order drawn for each round.
     """
-    names = list(KINDS)
-    order = np.random.default_rng([seed, night // len(names), 2]).permutation(len(names))
-    kind = names[order[night % len(names)]]
+    proxied = night % PROXIED_EVERY == PROXIED_EVERY - 1
+    names = [name for name, kind in KINDS.items() if kind.proxied is proxied]
+    count = night // PROXIED_EVERY if proxied else night - night // PROXIED_EVERY
+    order = np.random.default_rng([seed, count // len(names), 2]).permutation(len(names))
+    kind = names[order[count % len(names)]]
     rng = np.random.default_rng([seed, night, 0])
     if KINDS[kind].of_evening and rng.random() < START_SHARE:
         return PlannedFault(seed, night, kind, 0.0)

@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 
 from campaigns.plans.motion_run import AlarmClock
+from drivers.modbus_cnc.device import ModbusCnc
 from drivers.reached_position import require_reached
 from drivers.roles import Miss, TableImage, Touch, Vector
 from simulators.backend import SimulatedMachineDevice
+from simulators.world.world import World
 
 DEVICE = "twin"
 TOLERANCE_MM = 0.01
@@ -48,11 +50,12 @@ class FaultyDevice:
     an error. `altered` maps the names of methods to functions that are called instead, with the real method as first
     argument.
 
-    As every driver does, the proxy compares the position after a move with its target.
+    As every driver does, the proxy of a device without a driver compares the position after a move with its target.
     """
 
-    def __init__(self, device: SimulatedMachineDevice, clock: WatchedClock) -> None:
+    def __init__(self, device: SimulatedMachineDevice | ModbusCnc, world: World, clock: WatchedClock) -> None:
         self._device = device
+        self._world = world
         self._clock = clock
         self.before: Callable[[str], None] = _permit
         self.altered: dict[str, Alteration] = {}
@@ -74,8 +77,9 @@ class FaultyDevice:
 
     def move_to(self, target_mm: Vector, *, feed_mm_per_s: float | None, guarded: bool) -> None:
         self._altered("move_to", self._device.move_to)(target_mm, feed_mm_per_s=feed_mm_per_s, guarded=guarded)
-        reported = self._altered("position", self._device.position)()
-        require_reached(reported.tolist(), target_mm.tolist(), TOLERANCE_MM, "a move", {"device": DEVICE})
+        if isinstance(self._device, SimulatedMachineDevice):
+            reported = self._altered("position", self._device.position)()
+            require_reached(reported.tolist(), target_mm.tolist(), TOLERANCE_MM, "a move", {"device": DEVICE})
 
     def touch_towards(self, target_mm: Vector, *, feed_mm_per_s: float) -> Touch | Miss:
         touch = self._altered("touch_towards", self._device.touch_towards)
@@ -101,7 +105,7 @@ class FaultyDevice:
         return call
 
     def _note_position(self, now_s: float) -> None:
-        position = self._device.world.controller.displayed_at(now_s)
+        position = self._world.controller.displayed_at(now_s)
         if position != self._position:
             if np.abs(np.subtract(position, self._position)).max() > 0.0:
                 self.moved_until_s = now_s
@@ -110,3 +114,19 @@ class FaultyDevice:
 
 def _permit(_: str) -> None:
     """Let every call pass."""
+
+
+class OtherRoles:
+    """Proxy of the simulated device in the roles that a controller on a wire does not have: mount and operator. It does
+    not stop the axes."""
+
+    def __init__(self, device: SimulatedMachineDevice) -> None:
+        self._device = device
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._device, name)
+
+    def stop(self) -> None:
+        """Do nothing, because only the wire may stop the axes."""
+
+    close = stop

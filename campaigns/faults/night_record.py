@@ -20,11 +20,12 @@ class NightRecord:
     axes stood still until the end of the night. `moved_after_end_mm` is the travel of the axes in mm after the end of
     the run. `steps_after_abort` are the keys of the procedure's steps that began after an abort. `active` and `former`
     are the CRC-32 of the tables that act in the controller at the end and that acted before; `morning` is that of the
-    table that acts once the fault has been removed and volcal has been started again. `written` are those that the run
-    has handed to the controller. `complete_table` is False if the active bank is empty. `reason` is the reason of the
-    end as the journal has it, or as the run told it if the journal could not be written. `reasons` are words of which
-    the reason must contain one; it is empty if the fault may be unnoticed. `step` is the step that the error of the run
-    names, and `place` the device or link. `raised` is an exception that left the run.
+    table that acts once the fault has been removed and volcal has been started again, which says `morning_says`.
+    `written` are those that the run has handed to the controller. `complete_table` is False if the active bank is
+    empty. `reason` is the reason of the end as the journal has it, or as the run told it if the journal could not be
+    written. `reasons` are words of which the reason must contain one; it is empty if the fault may be unnoticed. `step`
+    is the step that the error of the run names, and `place` the device or link. `raised` is an exception that left the
+    run.
     """
 
     seed: int
@@ -43,6 +44,7 @@ class NightRecord:
     former: int = 0
     active: int = 0
     morning: int | None = None
+    morning_says: str = ""
     complete_table: bool = True
     former_intact: bool = True
     written: tuple[int, ...] = ()
@@ -61,7 +63,6 @@ class NightRecord:
     reason: str = ""
     reasons: tuple[str, ...] = ()
     error: str = ""
-    user_error: bool = False
     step: str = ""
     place: str = ""
     raised: str = ""
@@ -165,8 +166,10 @@ INVARIANTS: Mapping[str, Callable[[NightRecord], str]] = {
 
 
 def violations(night: NightRecord) -> dict[str, str]:
-    """Return what is wrong with the night, by invariant; empty if nothing is. A night that could not be recorded violates
-    only the invariant of its end, because the other facts are not known."""
+    """Return what is wrong with the night, by invariant; empty if nothing is.
+
+    A night that could not be recorded violates only the invariant of its end, because the other facts are not known.
+    """
     judged = {"stated end": _without_end} if night.failures else INVARIANTS
     found = {name: judge(night) for name, judge in judged.items()}
     return {name: text for name, text in found.items() if text}
