@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from campaigns.plans.motion_run import AlarmClock
+from drivers.errors import VolcalError
 from drivers.modbus_cnc.device import ModbusCnc
 from drivers.reached_position import require_reached
 from drivers.roles import Miss, TableImage, Touch, Vector
@@ -100,7 +101,10 @@ class FaultyDevice:
         def call(*values: Any, **named: Any) -> Any:
             self.before(name)
             altered = self.altered.get(name)
-            return real(*values, **named) if altered is None else altered(real, *values, **named)
+            try:
+                return real(*values, **named) if altered is None else altered(real, *values, **named)
+            except VolcalError as error:  # a driver names its device in every error
+                raise error.at(device=DEVICE) from error.__cause__
 
         return call
 
