@@ -36,8 +36,8 @@ def withdraw(
     if off_mm > OFF_LINE_MM:
         raise MeasurementFault(
             f"the machine reports a position {off_mm:.0f} mm off the line of its last motion: nothing is moved",
-            hint="compare the displayed position, its unit and its zero with where the axes are, and move the probe free "
-            "by hand",
+            hint="compare the displayed position, its unit and its zero with where the axes are, and move the probe "
+            "free by hand",
         )
     out = here if last_motion is None else last_motion.exit_point(here)
     if np.abs(out - here).max() > 0.0:

@@ -56,7 +56,7 @@ class FaultScene:
     stopped_s: float | None = None
     aborted_s: float | None = None
     journal_writable: bool = True
-    repairs: list[Callable[[], None]] = field(default_factory=list)
+    repairs: list[Callable[[], object]] = field(default_factory=list)
 
     @property
     def machine(self) -> FaultyDevice:

@@ -121,7 +121,9 @@ class FaultInjector:
 def _received(fault: PlannedFault, result: Mapping[str, Any], now_s: float) -> NightRecord:
     """Return the record that a copy has sent, or one with the reasons why it has sent none."""
     if "night" in result:
-        listed = {name: tuple(value) if isinstance(value, list) else value for name, value in result.items()}
+        listed: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value for name, value in result.items()
+        }
         return NightRecord(**listed)
     failures = tuple(str(one) for one in result["failures"])
     return NightRecord(fault.seed, fault.night, KINDS[fault.kind].group, fault.kind, round(now_s, 3), failures=failures)
