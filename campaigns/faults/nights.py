@@ -70,6 +70,8 @@ class FaultInjector:
     begun: PlannedFault | None = None
     began_s: float = 0.0
     balls: int = 0
+    over: bool = False
+    """True from the end of the run on: no fault begins any more."""
 
     def rig(self, clock: Clock, job: Job) -> Rig:
         """Return the rig of the run. Faults of the evening begin now, the others are arranged."""
@@ -85,7 +87,7 @@ class FaultInjector:
 
     def begin(self, fault: PlannedFault) -> None:
         """Let the fault begin in a copy of this process; in the copy of another fault, do nothing."""
-        if self.begun is not None:
+        if self.begun is not None or self.over:
             return
         if self.forked:
             result = self.forks.fork()
@@ -167,6 +169,7 @@ def play_nights(faults: Sequence[PlannedFault], world_seed: int, *, forked: bool
             gc.freeze()
         try:
             ended, defect = _carry_out(injector, directory)
+            injector.over = True
             record = partial(_record, injector, ended, defect, directory)
             if injector.forks.is_child:
                 assert injector.begun is not None
