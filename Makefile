@@ -91,7 +91,7 @@ EVENTS ?= 600
 grbl: setup
 	$(BIN)/python -m campaigns.grbl --events $(EVENTS)
 
-# Short calibrations, each with one fault of the controller, the cell, the computer or the wire at a random instant. Three
+# Short calibrations, each with one fault of the controller, the cell, the computer or the wire at a random instant. Some
 # hours of CPU time; ends with one line of JSON.
 faults: setup
 	$(BIN)/python -m campaigns.faults --count $(COUNT) --seed $(SEED) --workers 2
