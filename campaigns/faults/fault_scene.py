@@ -16,8 +16,9 @@ from agent.execution.supervisor import Supervisor
 from agent.planning.case_file import SHIPPED_CONFIGURATION
 from agent.planning.job import Job
 from campaigns.aborts.case import FORMER_BANK, FORMER_TABLE, SCALE, InMemoryDatabase
-from campaigns.faults.faulty_device import DEVICE, FaultyDevice, OtherRoles, WatchedClock
+from campaigns.faults.faulty_device import DEVICE, FaultyDevice, WatchedClock
 from campaigns.faults.tcp_proxy import ModbusProxy
+from campaigns.grbl.scene import OtherRoles
 from drivers.clock import Clock
 from drivers.modbus_cnc.device import ModbusCnc
 from drivers.modbus_cnc.settings import ModbusCncSettings

@@ -118,19 +118,3 @@ class FaultyDevice:
 
 def _permit(_: str) -> None:
     """Let every call pass."""
-
-
-class OtherRoles:
-    """Proxy of the simulated device in the roles that a controller on a wire does not have: mount and operator. It does
-    not stop the axes."""
-
-    def __init__(self, device: SimulatedMachineDevice) -> None:
-        self._device = device
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._device, name)
-
-    def stop(self) -> None:
-        """Do nothing, because only the wire may stop the axes."""
-
-    close = stop
