@@ -29,7 +29,7 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # must be set before numpy is imported
 
 from campaigns.faults.fault_kinds import plan_fault
-from campaigns.faults.night_record import INVARIANTS, NightRecord, violations
+from campaigns.faults.night_record import INVARIANTS, NightRecord, left_to_a_person, violations
 from campaigns.faults.nights import NIGHTS_PER_MACHINE, Share, machine_seed, play_nights, play_share
 
 
@@ -97,6 +97,7 @@ def summarise(records: Sequence[NightRecord]) -> dict[str, Any]:
         "before_the_fault": sum(not night.reached for night in records),
         "accepted": sum(night.accepted for night in records),
         "left_to_the_morning": sum(night.active != night.former and not night.accepted for night in records),
+        "left_to_a_person": sum(map(left_to_a_person, records)),
         "violations": {name: violated[name] for name in INVARIANTS},
     }
 

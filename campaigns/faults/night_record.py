@@ -76,6 +76,22 @@ BRAKED_AFTER_S = 2.0
 """Time in s that the axes may need to come to rest: braking from 20 m/min at 0.5 m/s² takes 0.7 s."""
 
 
+LEFT_TO_A_PERSON = "at the controller"
+"""Words with which volcal asks a person to activate the former table."""
+
+
+def left_to_a_person(night: NightRecord) -> bool:
+    """Return True if a table of unknown origin acts even in the morning, and both the run and the new start of volcal
+    have said so and what to do.
+
+    A controller that activates another bank than it is asked for can leave this; volcal does not overrule a bank that a
+    person may have chosen.
+    """
+    acts = night.active if night.morning is None else night.morning
+    strange = acts not in (night.former, *night.written)
+    return strange and night.told_unrestored and LEFT_TO_A_PERSON in night.morning_says
+
+
 def _collided(night: NightRecord) -> str:
     return ", ".join(night.collisions)
 
@@ -93,14 +109,14 @@ def _moved_after_stop(night: NightRecord) -> str:
 def _incomplete_table(night: NightRecord) -> str:
     if not night.complete_table:
         return "the active bank is empty"
-    if night.active not in (night.former, *night.written):
+    if night.active not in (night.former, *night.written) and not left_to_a_person(night):
         return f"table {night.active:08x} is neither the former one nor one that was written"
     return "" if night.former_intact else "the bank of the former table was changed"
 
 
 def _unproved(night: NightRecord) -> str:
     acts = night.active if night.morning is None else night.morning
-    if acts == night.former:
+    if acts == night.former or left_to_a_person(night):
         return ""
     if not night.accepted:
         return f"table {acts:08x} acts and was never proved"

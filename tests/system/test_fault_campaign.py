@@ -98,6 +98,22 @@ def test_every_invariant_has_a_record_that_violates_it() -> None:
     assert {invariant for invariant, _, _ in VIOLATING} == set(INVARIANTS)
 
 
+def test_a_strange_table_is_left_to_a_person_only_if_evening_and_morning_say_so() -> None:
+    strange = replace(RESTORED, active=OTHER, morning=OTHER, told_unrestored=True)
+    told = replace(strange, morning_says="run 1 could not …: activate bank 1 at the controller")
+    assert violations(told) == {}
+    assert summarise([told])["left_to_a_person"] == 1
+    assert set(violations(strange)) == {"active table complete", "former table or a proved one"}
+    assert violations(replace(told, told_unrestored=False)).keys() > {"compensation restored"}
+
+
+def test_a_controller_that_activates_another_bank_is_named_in_the_morning_too() -> None:
+    code, result = run_campaign("faults", "--only", "165", "--seed", "3")
+    assert result["by_kind"] == {"wrong bank": 1}
+    assert result["violations"] == dict.fromkeys(INVARIANTS, 0)
+    assert (code, result["left_to_a_person"]) == (0, 1)
+
+
 def test_all_kinds_of_fault_occur_and_a_night_is_drawn_the_same_again() -> None:
     planned = [plan_fault(1, night) for night in range(200)]
     assert {one.kind for one in planned} == set(KINDS)
