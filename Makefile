@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup run test quick check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming foreign linuxcnc grbl gcode part-programs schema reference figures deb deb-test clean
+.PHONY: setup run test quick check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming foreign linuxcnc grbl faults gcode part-programs schema reference figures deb deb-test clean
 
 setup: $(STAMP)
 
@@ -90,6 +90,11 @@ foreign: setup
 EVENTS ?= 600
 grbl: setup
 	$(BIN)/python -m campaigns.grbl --events $(EVENTS)
+
+# Short calibrations, each with one fault of the controller, the cell, the computer or the wire at a random instant. Some
+# hours of CPU time; ends with one line of JSON.
+faults: setup
+	$(BIN)/python -m campaigns.faults --count $(COUNT) --seed $(SEED) --workers 2
 
 # A million lines of a part program corrected: seconds, memory, and the ratio to one block at a time.
 gcode: setup

@@ -30,7 +30,7 @@ from drivers.roles import (
     Touch,
     Vector,
 )
-from simulators.world.motion_forecast import MoveKind
+from simulators.world.controller import GUARD_TRIPPED
 from simulators.world.mount import AZIMUTH, ELEVATION, MountPhysics
 from simulators.world.world import World
 
@@ -100,7 +100,7 @@ class SimulatedMachineDevice:
     def move_to(self, target_mm: Vector, *, feed_mm_per_s: float | None, guarded: bool) -> None:
         self._catch_up()
         self._controller.begin_move(target_mm, feed_mm_per_s, guarded)
-        self._await_motion(MoveKind.GUARDED if guarded else MoveKind.POSITIONING)
+        self._await_motion()
 
     def why_no_homing(self) -> str:
         return ""
@@ -151,7 +151,7 @@ class SimulatedMachineDevice:
         controller = self._controller
         before = controller.latch.sequence if controller.latch else 0
         controller.begin_touch(target_mm, feed_mm_per_s)
-        self._await_motion(MoveKind.TOUCH)
+        self._await_motion()
         if controller.latch is not None and controller.latch.sequence > before:
             return Touch(_triple(controller.latch.position))
         return Miss(_triple(controller.displayed_position()))
@@ -237,18 +237,15 @@ class SimulatedMachineDevice:
     def _catch_up(self) -> None:
         self.world.advance_to(self._clock.now())
 
-    def _await_motion(self, kind: MoveKind) -> None:
+    def _await_motion(self) -> None:
         self._sleep_until(self._motion_ends_s)
         controller = self._controller
         if controller.motion is MotionState.FAULT:
             fault = controller.fault
-            if kind is MoveKind.GUARDED and not self._crashed():
+            if fault == GUARD_TRIPPED:
                 controller.reset()
                 raise GuardTripped(fault, hint="check what the probe touched")
             raise MotionFault(fault, hint="move the probe free, then clear the fault at the machine")
-
-    def _crashed(self) -> bool:
-        return bool(self.world.collisions) and self._controller.fault.startswith("collision")
 
     def _motion_ends_s(self) -> float | None:
         controller = self._controller

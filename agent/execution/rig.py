@@ -6,6 +6,7 @@ The rig also provides the function that carries out each type of step of a plan.
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -191,7 +192,7 @@ class Rig:
             s.HomeMount: lambda step: self.mounts[step.station].home(),
             s.HomeAxes: home,
             s.OrientTo: self._orient,
-            s.ReadTemperatures: lambda _: dict(self.thermometer.temperatures_c()),
+            s.ReadTemperatures: self._read_temperatures,
             s.ReadClock: lambda _: self.clock.now(),
             s.ReadPosition: self._read_position,
             s.CheckPermissions: self._check_permissions,
@@ -273,6 +274,11 @@ class Rig:
         x, y, z = self.machine.position().tolist()
         self.last_motion.set_position((x, y, z))
         return x, y, z
+
+    def _read_temperatures(self, _: s.ReadTemperatures) -> dict[str, float]:
+        """Return the readings in °C. A thermometer that gives no number, such as one with a broken wire, gives no
+        reading."""
+        return {name: value for name, value in self.thermometer.temperatures_c().items() if math.isfinite(value)}
 
     def _check_permissions(self, _: s.CheckPermissions) -> None:
         status = self.machine.status()

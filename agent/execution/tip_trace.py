@@ -24,6 +24,7 @@ class LastMotion:
 
     _at: Point | None = None
     _begun: Point | None = None
+    _line: tuple[Point, Point] | None = None
     _touch: tuple[Point, Point] | None = None
     _touching: bool = False
 
@@ -33,13 +34,27 @@ class LastMotion:
 
     def begin(self, target: Point, *, touch: bool) -> None:
         self._begun, self._touching = self._at, touch
+        self._line = None if self._at is None else (self._at, target)
         if touch:
             self._touch = None if self._at is None else (self._at, target)
 
     def end(self, at: Point) -> None:
         if not self._touching:
             self._touch = None
-        self._at, self._begun = at, None
+        self._at, self._begun, self._line = at, None, (at, at)
+
+    def distance_mm(self, here: Array) -> float:
+        """Return the distance in mm of the position `here`, shape (3,), from the line of a motion that was interrupted,
+        or from the position at which the last motion ended; 0 if there was none.
+        """
+        if self._line is None:
+            return 0.0
+        start, end = (np.array(one) for one in self._line)
+        way = end - start
+        square = float(way @ way)
+        # Foot of the perpendicular as a fraction of the line, t = (p - a)·(b - a) / |b - a|², limited to 0 … 1.
+        fraction = float(np.clip((here - start) @ way / square, 0.0, 1.0)) if square > 0.0 else 0.0
+        return float(np.linalg.norm(here - start - fraction * way))
 
     def exit_point(self, here: Array) -> Array:
         """Return the position to which the probe moves first if it is withdrawn from the position `here`. Both are axis

@@ -130,6 +130,9 @@ def _unproved(last: LastCompensation, unfinished: UnfinishedRun | None) -> Unpro
 def _instruction(state: CompensationState, last: LastCompensation) -> str:
     if state is not CompensationState.CHANGED:
         return ""
+    if last.unproved and last.staged is not None:
+        left = UnprovedTable(last.run_id, last.staged.number, last.former.number, provable=False)
+        return f"run {last.run_id} could not reactivate the former compensation: {left.at_the_controller}"
     return f"run {last.run_id} left bank {last.expected.number} active: find out who changed it, then calibrate again"
 
 

@@ -33,6 +33,8 @@ from twin.collision.geometry import Point, point
 from twin.collision.motion_law import MotionLaw, straight_path, trapezoid
 from twin.machine.machine_description import MachineDescription
 
+GUARD_TRIPPED = "probe tripped in a guarded move"
+"""Fault of a guarded move in which the probe tripped; any other fault is one of the machine."""
 LIMIT_TOLERANCE_MM = 1e-6
 # a person jogs slowly: 20 mm/s are 1.2 m/min
 JOG_MM_PER_S = 20.0
@@ -351,7 +353,7 @@ class Controller:
 
     def _handle_trip(self, motion: _Motion, instant_s: float) -> None:
         if motion.command.kind is MoveKind.GUARDED:
-            motion.ends_in, motion.reason = MotionState.FAULT, motion.reason or "probe tripped in a guarded move"
+            motion.ends_in, motion.reason = MotionState.FAULT, motion.reason or GUARD_TRIPPED
         elif self.latch is None or self.latch.sequence < self._touches:
             assert motion.events.trip_mm is not None  # noqa: S101  a trip implies it
             # From the path distance, not from the instant: the same touch latches the same position at any time.

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from agent.errors import MeasurementFault
 from agent.execution import steps as s
 from agent.execution.encoding import encode_step
+from agent.execution.tip_trace import LastMotion
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
 from agent.probing.paths.approach_points import TipLocation
@@ -174,6 +175,43 @@ def test_withdrawal_goes_back_along_the_stylus_before_anything_else() -> None:
     second = plan.send(None)
     assert isinstance(second, s.MoveTo)
     assert second.target_mm == (100.0, 0.0, 300.0)
+
+
+def last_motion(*, ended: bool) -> LastMotion:
+    """A move of 100 mm along Y, ended or interrupted."""
+    motion = LastMotion()
+    motion.set_position((100.0, 100.0, 300.0))
+    motion.begin((100.0, 200.0, 300.0), touch=False)
+    if ended:
+        motion.end((100.0, 200.0, 300.0))
+    return motion
+
+
+@pytest.mark.parametrize(
+    ("here", "ended"),
+    [
+        ((3.94, 7.87, 11.81), True),  # inches
+        ((100.0, 150.0, 300.0), True),
+        ((100.0, 150.0, 320.0), False),
+        ((100.0, 230.0, 300.0), False),
+    ],
+)
+def test_nothing_is_withdrawn_from_a_position_that_the_last_motion_cannot_have_led_to(here, ended) -> None:
+    motion = last_motion(ended=ended)
+    plan = withdraw(JOB.rules.retreat, np.array([0.0, 1.0, 0.0]), 45.0, motion)
+    next(plan)
+    plan.send(None)
+    motion.set_position(here)  # as the rig does when it reads the position
+    with pytest.raises(MeasurementFault, match=r"mm off the line of its last motion: nothing is moved"):
+        plan.send(here)
+
+
+@pytest.mark.parametrize(("here", "ended"), [((100.0, 203.0, 300.0), True), ((101.0, 150.0, 300.0), False)])
+def test_a_position_on_the_line_of_the_last_motion_is_withdrawn_from(here, ended) -> None:
+    plan = withdraw(JOB.rules.retreat, np.array([0.0, 1.0, 0.0]), 45.0, last_motion(ended=ended))
+    next(plan)
+    plan.send(None)
+    assert isinstance(plan.send(here), s.MoveTo)
 
 
 @pytest.mark.parametrize("off_mm", [(0.0, -0.3, 0.0), (0.3, -0.2, 0.2), (-0.3, 0.3, -0.3)])

@@ -66,6 +66,20 @@ def test_touch_miss_guard_and_crash_are_told_apart() -> None:
     assert not isinstance(caught.value, GuardTripped)
 
 
+def test_an_emergency_stop_in_a_guarded_move_is_no_guard_and_stays_a_fault() -> None:
+    def press() -> None:
+        if clock.now() > 1.0:
+            world.controller.fail("emergency stop")
+
+    world, clock = ideal_world(), VirtualClock()
+    clock.subscribe(world.advance_to)
+    played = SimulatedMachineDevice(world, InterruptibleClock(clock, press))
+    with pytest.raises(MotionFault, match="emergency stop") as caught:
+        played.move_to(np.array([1000.0, 0.0, 0.0]), feed_mm_per_s=100.0, guarded=True)
+    assert not isinstance(caught.value, GuardTripped)
+    assert played.status().state is MotionState.FAULT
+
+
 def test_a_wait_that_is_broken_off_stops_the_machine() -> None:
     class EnoughError(Exception):
         pass

@@ -1,0 +1,106 @@
+"""Trial of short calibrations, each with one fault at a random instant. The output ends with one line of JSON.
+
+    python -m campaigns.faults [--count 10000] [--seed 1] [--workers 2] [--only NIGHT]
+
+Each night is a whole run with probe check, qualification, measuring, identification, staging, activation and
+verification on a simulated machine, with the table of an earlier run (the former table) active. One fault of the
+controller, the cell, the computer or the wire begins at a random instant with a random size. Fifty nights have one
+machine and share the time before their faults: the process is forked at each of them. One night in 25 has a real Modbus
+TCP link with a proxy that disturbs it. After the night the fault is removed and volcal is started again.
+
+A night that violates an invariant is printed, one JSON object a line, with its seed and number; `--only NIGHT` plays it
+again in this process and prints its whole record. The exit code is 0 only if no invariant is violated.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
+from multiprocessing import get_context
+from time import perf_counter, process_time
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # must be set before numpy is imported
+
+from campaigns.faults.fault_kinds import plan_fault
+from campaigns.faults.night_record import INVARIANTS, NightRecord, left_to_a_person, violations
+from campaigns.faults.nights import NIGHTS_PER_MACHINE, Share, machine_seed, play_nights, play_share
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=10000, help="number of nights")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--workers", type=int, default=2, help="number of processes")
+    parser.add_argument("--only", type=int, metavar="NIGHT", help="play this night alone, in this process")
+    given = parser.parse_args(arguments)
+    began = perf_counter()
+    records: list[NightRecord] = []
+    cpu_s = 0.0
+    if given.only is not None:
+        records = play_nights([plan_fault(given.seed, given.only)], machine_seed(given.seed, given.only), forked=False)
+        print(json.dumps(asdict(records[0]), default=str))
+        cpu_s = process_time()
+    for found, used_s in [] if given.only is not None else _played(given.seed, given.count, given.workers):
+        records += found
+        cpu_s += used_s
+        for night in found:
+            wrong = violations(night)
+            if wrong:
+                print(
+                    json.dumps({"seed": night.seed, "night": night.night, **_summary(night), "violated": wrong}),
+                    flush=True,
+                )
+    result = summarise(records)
+    result |= {"cpu_s": round(cpu_s, 1), "wall_seconds": round(perf_counter() - began, 1)}
+    print(json.dumps(result, allow_nan=False))
+    return 0 if result["passed"] else 1
+
+
+def _played(seed: int, count: int, workers: int) -> Iterator[tuple[list[NightRecord], float]]:
+    shares = [
+        Share(seed, first, min(first + NIGHTS_PER_MACHINE, count)) for first in range(0, count, NIGHTS_PER_MACHINE)
+    ]
+    if workers == 1:
+        yield from map(play_share, shares)
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        yield from pool.map(play_share, shares)
+
+
+def _summary(night: NightRecord) -> dict[str, Any]:
+    return {
+        "kind": night.kind,
+        "at_s": night.at_s,
+        "size": night.size,
+        "state": night.state,
+        "reason": night.reason,
+        "morning": night.morning_says,
+    }
+
+
+def summarise(records: Sequence[NightRecord]) -> dict[str, Any]:
+    """Return the totals over all nights: faults by kind, ends, and the number of violations of each invariant."""
+    violated = Counter(name for night in records for name in violations(night))
+    return {
+        "passed": bool(records) and not violated,
+        "nights": len(records),
+        "by_group": dict(sorted(Counter(night.group for night in records).items())),
+        "by_kind": dict(sorted(Counter(night.kind for night in records).items())),
+        "ended": dict(sorted(Counter(night.state for night in records).items())),
+        "before_the_fault": sum(not night.reached for night in records),
+        "accepted": sum(night.accepted for night in records),
+        "left_to_the_morning": sum(night.active != night.former and not night.accepted for night in records),
+        "left_to_a_person": sum(map(left_to_a_person, records)),
+        "violations": {name: violated[name] for name in INVARIANTS},
+    }
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,133 @@
+"""Machine, agent and computer of one night, on which a fault can act."""
+
+from __future__ import annotations
+
+import dataclasses
+import sqlite3
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from agent.execution.rig import Rig
+from agent.execution.supervisor import Supervisor
+from agent.planning.case_file import SHIPPED_CONFIGURATION
+from agent.planning.job import Job
+from campaigns.aborts.case import FORMER_BANK, FORMER_TABLE, SCALE, InMemoryDatabase
+from campaigns.faults.faulty_device import DEVICE, FaultyDevice, WatchedClock
+from campaigns.faults.tcp_proxy import ModbusProxy
+from campaigns.grbl.scene import OtherRoles
+from drivers.clock import Clock
+from drivers.modbus_cnc.device import ModbusCnc
+from drivers.modbus_cnc.settings import ModbusCncSettings
+from drivers.roles import TableImage
+from simulators.backend import SimulatedMachineDevice
+from simulators.scenario import read_scenario
+from simulators.wire.modbus.controller import ModbusController
+from simulators.wire.shared_world import SharedWorld
+from simulators.world.world import World
+
+CNC = "cnc"
+OTHER_BANK = 3
+OTHER_TABLE = TableImage((0.0, 0.0, 0.0), (2000.0, 650.0, 750.0), 1e-4, np.full((3, 3, 3, 3), -40, dtype=np.int32))
+"""Table of nobody knows whom, in a bank that volcal does not use."""
+
+
+@dataclass
+class FaultScene:
+    """World, clock, device and journal of a night, and what a fault has told about itself.
+
+    `size` describes the size of the fault in words. `stopped_s` is the instant of a fault after which the axes must
+    stand still, and `aborted_s` that of an abort by request, both in s of machine time. `repairs` are functions that
+    remove the fault in the morning. `shared` and `proxy` are the world with its lock and the proxy of a night on a real
+    wire.
+    """
+
+    world: World
+    memory: InMemoryDatabase
+    clock: WatchedClock = field(default_factory=WatchedClock)
+    device: FaultyDevice | None = None
+    shared: SharedWorld[World] | None = None
+    proxy: ModbusProxy | None = None
+    supervisor: Supervisor | None = None
+    connections: list[sqlite3.Connection] = field(default_factory=list)
+    size: str = ""
+    stopped_s: float | None = None
+    aborted_s: float | None = None
+    journal_writable: bool = True
+    repairs: list[Callable[[], object]] = field(default_factory=list)
+
+    @property
+    def machine(self) -> FaultyDevice:
+        """Device of the rig; the rig must have been made."""
+        assert self.device is not None
+        return self.device
+
+    def rig(self, clock: Clock, job: Job) -> Rig:
+        """Return a rig of which one faulty device plays every role or, if there is a proxy, of the driver `modbus-cnc`
+        behind the proxy and of a device with the other roles."""
+        simulated = SimulatedMachineDevice(self.world, clock)
+        own: Any = simulated if self.proxy is None else OtherRoles(simulated)
+        self.device = FaultyDevice(
+            simulated if self.proxy is None else _driver(self.proxy.port, clock), self.world, self.clock
+        )
+        # The device sleeps on the interruptible clock of the run, but the world follows the clock below it.
+        self.clock.subscribe(self.advance)
+        cnc: Any = self.device
+        other = cnc if self.proxy is None else own
+        mounts = dict.fromkeys(range(1, len(job.settings.stations.places_mm) + 1), other)
+        devices = {DEVICE: cnc} if self.proxy is None else {CNC: cnc, DEVICE: other}
+        return Rig(devices, cnc, cnc, mounts, cnc, cnc, other, clock)
+
+    def advance(self, instant_s: float) -> None:
+        """Advance the world and, if there is one, its controller on the wire."""
+        if self.shared is None:
+            self.world.advance_to(instant_s)
+        else:
+            self.shared.advance_to(instant_s)
+
+
+@contextmanager
+def behind_proxy(scene: FaultScene) -> Iterator[None]:
+    """Give the controller of the scene a Modbus TCP server and a proxy in front of it, during the `with` block."""
+    scene.shared = SharedWorld(scene.world)
+    controller = ModbusController(scene.shared, ("127.0.0.1", 0))
+    controller.start()
+    try:
+        scene.proxy = ModbusProxy(controller.address)
+        try:
+            yield
+        finally:
+            scene.proxy.close()
+    finally:
+        controller.close()
+
+
+def _driver(port: int, clock: Clock) -> ModbusCnc:
+    settings = ModbusCncSettings.model_validate({"host": "127.0.0.1", "port": port})
+    return ModbusCnc(settings, clock, CNC)
+
+
+def build_world(seed: int, banks: Sequence[int] = (1, 2, OTHER_BANK)) -> World:
+    """Return a world with a machine, an artefact and noise drawn with `seed`.
+
+    A table from an earlier run is active. If there is a third bank, it holds a table that is not volcal's.
+    """
+    shipped = read_scenario(SHIPPED_CONFIGURATION / "simulators" / "case-study.toml")
+    settings = shipped.settings
+    drawn = settings.model_copy(
+        update={
+            "seed": seed,
+            "truth": settings.truth.model_copy(update={"seed": seed, "scale": SCALE}),
+            "artefact_truth": settings.artefact_truth.model_copy(update={"seed": seed}),
+            "store": settings.store.model_copy(update={"banks": list(banks)}),
+        }
+    )
+    world = World(dataclasses.replace(shipped, settings=drawn))
+    if OTHER_BANK in banks:
+        world.controller.write_bank(OTHER_BANK, OTHER_TABLE)
+    world.controller.write_bank(FORMER_BANK, FORMER_TABLE)
+    world.controller.activate(FORMER_BANK)
+    return world

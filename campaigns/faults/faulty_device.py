@@ -1,0 +1,120 @@
+"""Proxy of the simulated device whose answers and commands a fault can alter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from campaigns.plans.motion_run import AlarmClock
+from drivers.errors import VolcalError
+from drivers.modbus_cnc.device import ModbusCnc
+from drivers.reached_position import require_reached
+from drivers.roles import Miss, TableImage, Touch, Vector
+from simulators.backend import SimulatedMachineDevice
+from simulators.world.world import World
+
+DEVICE = "twin"
+TOLERANCE_MM = 0.01
+"""Largest distance in mm between the target of a move and the position reported after it, as in the drivers."""
+LONGEST_NIGHT_S = 6.0 * 3600.0
+MOST_ADVANCES = 2_000_000
+"""Advances of the clock in one night, several hundred times those of a night without fault."""
+
+Alteration = Callable[..., Any]
+
+
+class HangDetectedError(BaseException):
+    """Raised by the clock of a night that does not end."""
+
+
+class WatchedClock(AlarmClock):
+    """Virtual clock that detects a night without an end, by its machine time or by the number of its waits."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.watched = True
+        self.hung = False
+        self._advances = 0
+
+    def advance_to(self, instant_s: float) -> None:
+        self._advances += 1
+        if self.watched and (instant_s > LONGEST_NIGHT_S or self._advances > MOST_ADVANCES):
+            self.hung = True
+            raise HangDetectedError
+        super().advance_to(instant_s)
+
+
+class FaultyDevice:
+    """Proxy of the device of a simulated machine. `before(name)` is called before each call of the device and may raise
+    an error. `altered` maps the names of methods to functions that are called instead, with the real method as first
+    argument.
+
+    As every driver does, the proxy of a device without a driver compares the position after a move with its target.
+    """
+
+    def __init__(self, device: SimulatedMachineDevice | ModbusCnc, world: World, clock: WatchedClock) -> None:
+        self._device = device
+        self._world = world
+        self._clock = clock
+        self.before: Callable[[str], None] = _permit
+        self.altered: dict[str, Alteration] = {}
+        self.touches = 0
+        self.staged: list[TableImage] = []
+        self.moved_until_s = 0.0
+        self._position = (0.0, 0.0, 0.0)
+
+    def __getattr__(self, name: str) -> Any:
+        real = getattr(self._device, name)
+        return self._altered(name, real) if callable(real) else real
+
+    def open(self) -> None:
+        self._device.open()
+        self._clock.subscribe(self._note_position)  # after the world, so that the position is that of the instant
+
+    def close(self) -> None:
+        self._device.close()
+
+    def move_to(self, target_mm: Vector, *, feed_mm_per_s: float | None, guarded: bool) -> None:
+        self._altered("move_to", self._device.move_to)(target_mm, feed_mm_per_s=feed_mm_per_s, guarded=guarded)
+        if isinstance(self._device, SimulatedMachineDevice):
+            reported = self._altered("position", self._device.position)()
+            require_reached(reported.tolist(), target_mm.tolist(), TOLERANCE_MM, "a move", {"device": DEVICE})
+
+    def touch_towards(self, target_mm: Vector, *, feed_mm_per_s: float) -> Touch | Miss:
+        touch = self._altered("touch_towards", self._device.touch_towards)
+        touched: Touch | Miss = touch(target_mm, feed_mm_per_s=feed_mm_per_s)
+        self.touches += 1
+        return touched
+
+    def stage(self, bank: int, table: TableImage) -> None:
+        self.staged.append(table)
+        self._altered("stage", self._device.stage)(bank, table)
+
+    def repair(self) -> None:
+        """Remove every fault of the device and of its link."""
+        self.before = _permit
+        self.altered.clear()
+
+    def _altered(self, name: str, real: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*values: Any, **named: Any) -> Any:
+            self.before(name)
+            altered = self.altered.get(name)
+            try:
+                return real(*values, **named) if altered is None else altered(real, *values, **named)
+            except VolcalError as error:  # a driver names its device in every error
+                raise error.at(device=DEVICE) from error.__cause__
+
+        return call
+
+    def _note_position(self, now_s: float) -> None:
+        position = self._world.controller.displayed_at(now_s)
+        if position != self._position:
+            if np.abs(np.subtract(position, self._position)).max() > 0.0:
+                self.moved_until_s = now_s
+            self._position = position
+
+
+def _permit(_: str) -> None:
+    """Let every call pass."""

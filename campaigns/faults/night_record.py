@@ -1,0 +1,191 @@
+"""Record of one night with a fault, as the simulated world and the journal tell it, and the invariants that it must
+fulfil.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+FINAL_STATES = ("complete", "refused", "aborted", "faulted", "written, not active")
+ENDED_EARLY = ("aborted", "faulted")
+MOVED_MM = 1e-6
+
+
+@dataclass(frozen=True)
+class NightRecord:
+    """Facts of one night. Instants are in s of machine time, true errors in µm.
+
+    `stopped_s` is the instant of a fault after which nothing may move; `stands_from_s` is the instant from which the
+    axes stood still until the end of the night. `moved_after_end_mm` is the travel of the axes in mm after the end of
+    the run. `steps_after_abort` are the keys of the procedure's steps that began after an abort. `active` and `former`
+    are the CRC-32 of the tables that act in the controller at the end and that acted before; `morning` is that of the
+    table that acts once the fault has been removed and volcal has been started again, which says `morning_says`.
+    `written` are those that the run has handed to the controller. `complete_table` is False if the active bank is
+    empty. `reason` is the reason of the end as the journal has it, or as the run told it if the journal could not be
+    written. `reasons` are words of which the reason must contain one; it is empty if the fault may be unnoticed. `step`
+    is the step that the error of the run names, and `place` the device or link. `raised` is an exception that left the
+    run.
+    """
+
+    seed: int
+    night: int
+    group: str
+    kind: str
+    at_s: float
+    size: str = ""
+    reached: bool = True
+    collisions: tuple[str, ...] = ()
+    stopped_s: float | None = None
+    stands_from_s: float = 0.0
+    moved_after_end_mm: float = 0.0
+    motion_at_end: str = "idle"
+    steps_after_abort: tuple[str, ...] = ()
+    former: int = 0
+    active: int = 0
+    morning: int | None = None
+    morning_says: str = ""
+    complete_table: bool = True
+    former_intact: bool = True
+    written: tuple[int, ...] = ()
+    accepted: bool = False
+    before_um: float | None = None
+    after_um: float | None = None
+    told_unrestored: bool = False
+    acknowledged_touches: int = 0
+    acknowledged_balls: int = 0
+    journaled_touches: int = 0
+    journaled_balls: int = 0
+    state: str = ""
+    journal_state: str = ""
+    journal_writable: bool = True
+    journal_closed: bool = True
+    reason: str = ""
+    reasons: tuple[str, ...] = ()
+    error: str = ""
+    step: str = ""
+    place: str = ""
+    raised: str = ""
+    hung: bool = False
+    end_s: float = 0.0
+    failures: tuple[str, ...] = field(default=())
+    """Reasons for which the night could not be recorded."""
+
+
+BRAKED_AFTER_S = 2.0
+"""Time in s that the axes may need to come to rest: braking from 20 m/min at 0.5 m/s² takes 0.7 s."""
+
+
+LEFT_TO_A_PERSON = "at the controller"
+"""Words with which volcal asks a person to activate the former table."""
+
+
+def left_to_a_person(night: NightRecord) -> bool:
+    """Return True if a table of unknown origin acts even in the morning, and both the run and the new start of volcal
+    have said so and what to do.
+
+    A controller that activates another bank than it is asked for can leave this; volcal does not overrule a bank that a
+    person may have chosen.
+    """
+    acts = night.active if night.morning is None else night.morning
+    strange = acts not in (night.former, *night.written)
+    return strange and night.told_unrestored and LEFT_TO_A_PERSON in night.morning_says
+
+
+def _collided(night: NightRecord) -> str:
+    return ", ".join(night.collisions)
+
+
+def _moved_after_stop(night: NightRecord) -> str:
+    if night.moved_after_end_mm > MOVED_MM or night.motion_at_end in ("moving", "held"):
+        return f"{night.motion_at_end} after the end, moved {night.moved_after_end_mm:.6f} mm"
+    if night.stopped_s is not None and night.stands_from_s > night.stopped_s + BRAKED_AFTER_S:
+        return f"stopped at {night.stopped_s:.2f} s, moved until {night.stands_from_s:.2f} s"
+    if night.steps_after_abort:
+        return f"steps of the procedure after the abort: {', '.join(night.steps_after_abort[:3])}"
+    return ""
+
+
+def _incomplete_table(night: NightRecord) -> str:
+    if not night.complete_table:
+        return "the active bank is empty"
+    if night.active not in (night.former, *night.written) and not left_to_a_person(night):
+        return f"table {night.active:08x} is neither the former one nor one that was written"
+    return "" if night.former_intact else "the bank of the former table was changed"
+
+
+def _unproved(night: NightRecord) -> str:
+    acts = night.active if night.morning is None else night.morning
+    if acts == night.former or left_to_a_person(night):
+        return ""
+    if not night.accepted:
+        return f"table {acts:08x} acts and was never proved"
+    if night.before_um is None or night.after_um is None or night.after_um >= night.before_um:
+        return f"the accepted table makes the machine worse: {night.before_um} -> {night.after_um} µm"
+    return ""
+
+
+def _unrestored(night: NightRecord) -> str:
+    if night.accepted or night.active == night.former:
+        return ""
+    return "" if night.told_unrestored else f"table {night.active:08x} acts at the end and the reason does not say so"
+
+
+def _lost(night: NightRecord) -> str:
+    touches = night.acknowledged_touches - night.journaled_touches
+    balls = night.acknowledged_balls - night.journaled_balls
+    # The result of the touch during which the disk filled up can no longer be recorded; the run ends at it.
+    if touches > (0 if night.journal_writable else 1) or balls > 0:
+        return f"{touches} touches and {balls} balls are not in the journal"
+    return ""
+
+
+def _unnamed(night: NightRecord) -> str:
+    if night.state not in ENDED_EARLY or not night.reached:
+        return ""
+    if not night.reason:
+        return "no reason"
+    if night.reasons and not any(word in night.reason for word in night.reasons):
+        return f"the cause is not named: {night.reason}"
+    if not night.step:
+        return f"no step is named: {night.reason}"
+    if night.group == "wire" and not night.place:
+        return f"no link is named: {night.reason}"
+    return ""
+
+
+def _without_end(night: NightRecord) -> str:
+    if night.failures:
+        return "; ".join(night.failures)
+    if night.hung:
+        return f"no end after {night.end_s:.0f} s of machine time"
+    if night.raised:
+        return f"raised {night.raised}"
+    if night.state not in FINAL_STATES:
+        return f"ended {night.state!r}"
+    if night.journal_writable and (night.journal_state != night.state or not night.journal_closed):
+        return f"ended {night.state}, the journal says {night.journal_state}, closed {night.journal_closed}"
+    return ""
+
+
+INVARIANTS: Mapping[str, Callable[[NightRecord], str]] = {
+    "no collision": _collided,
+    "no motion after a stop": _moved_after_stop,
+    "active table complete": _incomplete_table,
+    "former table or a proved one": _unproved,
+    "compensation restored": _unrestored,
+    "acknowledged means journaled": _lost,
+    "fault named": _unnamed,
+    "stated end": _without_end,
+}
+"""Invariants by name. Each returns what is wrong in words, or an empty text."""
+
+
+def violations(night: NightRecord) -> dict[str, str]:
+    """Return what is wrong with the night, by invariant; empty if nothing is.
+
+    A night that could not be recorded violates only the invariant of its end, because the other facts are not known.
+    """
+    judged = {"stated end": _without_end} if night.failures else INVARIANTS
+    found = {name: judge(night) for name, judge in judged.items()}
+    return {name: text for name, text in found.items() if text}

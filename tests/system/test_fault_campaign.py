@@ -1,0 +1,130 @@
+"""A small part of the trial `make faults`, and what its invariants find in records of nights that violate them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from campaign_command import run_campaign
+
+from campaigns.faults.__main__ import summarise
+from campaigns.faults.fault_kinds import KINDS, plan_fault
+from campaigns.faults.night_record import INVARIANTS, NightRecord, violations
+
+NIGHTS = 36
+"""Every kind of fault in one process once, and one night with a real link; about 55 s of CPU time."""
+FORMER, NEW, OTHER = 1, 2, 3
+
+RESTORED = NightRecord(
+    seed=1,
+    night=1,
+    group="wire",
+    kind="lost link",
+    at_s=100.0,
+    stopped_s=100.0,
+    stands_from_s=101.0,
+    former=FORMER,
+    active=FORMER,
+    morning=FORMER,
+    written=(NEW,),
+    acknowledged_touches=40,
+    journaled_touches=40,
+    acknowledged_balls=4,
+    journaled_balls=4,
+    state="faulted",
+    journal_state="faulted",
+    reason="connection reset (link 127.0.0.1:502, step measure/1)",
+    reasons=("connection reset",),
+    step="measure/1",
+    place="127.0.0.1:502",
+)
+PROVED = replace(
+    RESTORED,
+    active=NEW,
+    morning=NEW,
+    accepted=True,
+    before_um=30.0,
+    after_um=10.0,
+    state="complete",
+    journal_state="complete",
+    reason="",
+    step="",
+)
+VIOLATING: list[tuple[str, NightRecord, dict[str, Any]]] = [
+    ("no collision", RESTORED, {"collisions": ("ram with ball 3 at 12.00 s",)}),
+    ("no motion after a stop", RESTORED, {"stands_from_s": 103.0}),
+    ("no motion after a stop", RESTORED, {"moved_after_end_mm": 0.01}),
+    ("no motion after a stop", RESTORED, {"motion_at_end": "held"}),
+    ("no motion after a stop", RESTORED, {"steps_after_abort": ("measure/2",)}),
+    ("active table complete", PROVED, {"complete_table": False}),
+    ("active table complete", PROVED, {"written": (OTHER,)}),
+    ("active table complete", RESTORED, {"former_intact": False}),
+    ("former table or a proved one", RESTORED, {"morning": NEW}),
+    ("former table or a proved one", PROVED, {"after_um": 31.0}),
+    ("compensation restored", RESTORED, {"active": NEW}),
+    ("acknowledged means journaled", RESTORED, {"journaled_touches": 39}),
+    ("acknowledged means journaled", RESTORED, {"journal_writable": False, "journaled_touches": 38}),
+    ("acknowledged means journaled", RESTORED, {"journaled_balls": 3}),
+    ("fault named", RESTORED, {"reason": ""}),
+    ("fault named", RESTORED, {"reason": "something went wrong"}),
+    ("fault named", RESTORED, {"step": ""}),
+    ("fault named", RESTORED, {"place": ""}),
+    ("stated end", RESTORED, {"state": "measuring"}),
+    ("stated end", RESTORED, {"journal_state": "measuring"}),
+    ("stated end", RESTORED, {"journal_closed": False}),
+    ("stated end", RESTORED, {"raised": "KeyError('ball')"}),
+    ("stated end", RESTORED, {"hung": True}),
+    ("stated end", RESTORED, {"failures": ("did not end within 600 s",)}),
+]
+
+
+@pytest.mark.parametrize("night", [RESTORED, PROVED, replace(RESTORED, active=NEW, told_unrestored=True)])
+def test_a_night_that_ended_well_violates_nothing(night: NightRecord) -> None:
+    assert violations(night) == {}
+    assert summarise([night])["passed"]
+
+
+@pytest.mark.parametrize(("invariant", "night", "change"), VIOLATING)
+def test_a_violation_is_found_and_counted(invariant: str, night: NightRecord, change: dict[str, Any]) -> None:
+    wrong = replace(night, **change)
+    assert set(violations(wrong)) == {invariant}
+    counted = summarise([night, wrong, wrong])
+    assert not counted["passed"]
+    assert counted["violations"] == {name: 2 * (name == invariant) for name in INVARIANTS}
+
+
+def test_every_invariant_has_a_record_that_violates_it() -> None:
+    assert {invariant for invariant, _, _ in VIOLATING} == set(INVARIANTS)
+
+
+def test_a_strange_table_is_left_to_a_person_only_if_evening_and_morning_say_so() -> None:
+    strange = replace(RESTORED, active=OTHER, morning=OTHER, told_unrestored=True)
+    told = replace(strange, morning_says="run 1 could not …: activate bank 1 at the controller")
+    assert violations(told) == {}
+    assert summarise([told])["left_to_a_person"] == 1
+    assert set(violations(strange)) == {"active table complete", "former table or a proved one"}
+    assert violations(replace(told, told_unrestored=False)).keys() > {"compensation restored"}
+
+
+def test_a_controller_that_activates_another_bank_is_named_in_the_morning_too() -> None:
+    code, result = run_campaign("faults", "--only", "165", "--seed", "3")
+    assert result["by_kind"] == {"wrong bank": 1}
+    assert result["violations"] == dict.fromkeys(INVARIANTS, 0)
+    assert (code, result["left_to_a_person"]) == (0, 1)
+
+
+def test_all_kinds_of_fault_occur_and_a_night_is_drawn_the_same_again() -> None:
+    planned = [plan_fault(1, night) for night in range(200)]
+    assert {one.kind for one in planned} == set(KINDS)
+    assert planned == [plan_fault(1, night) for night in range(200)]
+    assert planned != [plan_fault(2, night) for night in range(200)]
+
+
+def test_nights_with_faults_end_as_they_must() -> None:
+    _, result = run_campaign("faults", "--count", str(NIGHTS), "--seed", "3", "--workers", "1")
+    assert result["violations"] == dict.fromkeys(INVARIANTS, 0)
+    assert result["passed"]
+    assert result["nights"] == NIGHTS
+    assert {kind for kind, fault in KINDS.items() if not fault.proxied} < set(result["by_kind"])
+    assert result["accepted"] > 0
