@@ -20,6 +20,7 @@ from hypothesis import HealthCheck, settings
 settings.register_profile("desk", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("check", parent=settings.get_profile("desk"), derandomize=True, database=None)
 settings.register_profile("quick", parent=settings.get_profile("check"), max_examples=10)
+settings.register_profile("long", parent=settings.get_profile("desk"), max_examples=1000)
 settings.load_profile("check" if os.environ.get("CI") else "desk")
 
 SLOW = Path(__file__).with_name("slow.txt")
