@@ -1,7 +1,8 @@
 """Shared set-up of all tests: one BLAS thread, folders in memory, and property tests that a check repeats exactly.
 
 With `CI` set the examples of hypothesis are derived from the tests alone, so that a check that was green stays green
-on the same tree; at a desk they are drawn anew each time, to find what is left.
+on the same tree; at a desk they are drawn anew each time, to find what is left. `--hypothesis-profile=long` draws many
+more, also for tests that otherwise try a few because each example is a whole plan.
 """
 
 from __future__ import annotations
