@@ -226,9 +226,10 @@ class TestRunSections:
         here = seen.position == seen.position[0]
         few = seen.select(np.flatnonzero(~here | (np.cumsum(here) <= 4)))
         run = RunFacts(800, 91.2, touches_checked_together=touches)
-        data = replace(offline, run=run, identification=replace(found, observations=few))
+        shown = replace(found, observations=few)
+        data = replace(offline, run=run, identification=shown)
         counted = f"1 of {len(set(seen.position.tolist()))} position"
-        statements = [text for text in validity(data, data.identification) if text.startswith("Not checked: ")]
+        statements = [text for text in validity(data, shown) if text.startswith("Not checked: ")]
         assert [counted in text and "fewer than 5 balls" in text for text in statements] == [True] * said
 
     def test_a_run_shows_what_it_decided_and_proved(self, offline: ReportData) -> None:
