@@ -1,7 +1,8 @@
 """Shared set-up of all tests: one BLAS thread, folders in memory, and property tests that a check repeats exactly.
 
 With `CI` set the examples of hypothesis are derived from the tests alone, so that a check that was green stays green
-on the same tree; at a desk they are drawn anew each time, to find what is left.
+on the same tree; at a desk they are drawn anew each time, to find what is left. `--hypothesis-profile=long` draws many
+more, also for tests that otherwise try a few because each example is a whole plan.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from hypothesis import HealthCheck, settings
 settings.register_profile("desk", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("check", parent=settings.get_profile("desk"), derandomize=True, database=None)
 settings.register_profile("quick", parent=settings.get_profile("check"), max_examples=10)
+settings.register_profile("long", parent=settings.get_profile("desk"), max_examples=1000)
 settings.load_profile("check" if os.environ.get("CI") else "desk")
 
 SLOW = Path(__file__).with_name("slow.txt")

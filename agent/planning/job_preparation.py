@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from agent.planning.held_out_positions import (
 )
 from agent.planning.job import HeldOutChoice, Job, KnownHeldOut
 from agent.planning.procedure_rules import layout_of, preparation_of, probing_of, retreat_of
-from agent.planning.stations import check_stations, hand_placement, load_artefacts, station_change
+from agent.planning.stations import Artefacts, check_stations, hand_placement, load_artefacts, station_change
 from agent.probing.position import PositionRules
 from agent.probing.run_plan import gap_above_mm
 from agent.settings.load import POSITION_FILES
@@ -28,8 +29,12 @@ from agent.thermal.rules import drift_limits_of, settling_of
 from drivers.errors import ConfigurationError
 from twin.artefact.position_set import MIN_BALLS, Position, parse_position_set
 from twin.collision.locating_balls import depth_in_table_mm, locating_balls
+from twin.collision.measuring_layout import MeasuringLayout
 from twin.collision.probe_frame import ProbeFrame
 from twin.errors import TwinError
+from twin.machine.kinematic_chain import AXES
+from twin.machine.machine_description import MachineDescription
+from twin.units import S_PER_MIN
 
 IN_TABLE_MM = 1.0
 """Depth in mm to which an artefact that is placed by hand may be inside the table according to its file."""
@@ -42,17 +47,7 @@ def prepare_job(settings: Settings, base: Path) -> Job:
     list are chosen when `Job.held_out` is first read. Raises ConfigurationError if a file cannot be used or if the
     files and settings are not consistent.
     """
-    check_stations(settings)
-    machine = load_machine(settings.machine)
-    artefacts = load_artefacts(settings.artefact, settings.stations)
-    if settings.tool not in machine.tools:
-        raise ConfigurationError(
-            f"the machine has no tool {settings.tool!r}",
-            key="tool",
-            hint=f"tools of {settings.machine.name}: {', '.join(sorted(machine.tools))}",
-        )
-    with translated(ConfigurationError, file=str(settings.machine), key=f"tools.{settings.tool}.offset_mm"):
-        frame = ProbeFrame.of(machine.tools[settings.tool])
+    machine, artefacts, frame = _loaded(settings)
     stations = tuple(settings.procedure.stations or range(1, len(settings.stations.places_mm) + 1))
     positions = _positions(
         settings.procedure.position_set, stations, len(settings.stations.places_mm), base, settings.tool, frame
@@ -88,6 +83,29 @@ def prepare_job(settings: Settings, base: Path) -> Job:
     if settings.procedure.position_set.endswith(POSITION_FILES):
         _refuse_unreachable_entry(job)
     return replace(job, held_out_choice=_held_out_choice(job))
+
+
+def prepare_layout(settings: Settings) -> MeasuringLayout:
+    """Load machine and artefact, and return where the artefact stands and what is within reach, as in `prepare_job`;
+    positions are not read. Raises ConfigurationError if a file cannot be used."""
+    machine, artefacts, frame = _loaded(settings)
+    probing = probing_of(settings.procedure, settings.probe.tip_radius_mm, artefacts.kind, frame)
+    return layout_of(settings, machine, artefacts, probing)
+
+
+def _loaded(settings: Settings) -> tuple[MachineDescription, Artefacts, ProbeFrame]:
+    check_stations(settings)
+    machine = load_machine(settings.machine)
+    artefacts = load_artefacts(settings.artefact, settings.stations)
+    if settings.tool not in machine.tools:
+        raise ConfigurationError(
+            f"the machine has no tool {settings.tool!r}",
+            key="tool",
+            hint=f"tools of {settings.machine.name}: {', '.join(sorted(machine.tools))}",
+        )
+    with translated(ConfigurationError, file=str(settings.machine), key=f"tools.{settings.tool}.offset_mm"):
+        frame = ProbeFrame.of(machine.tools[settings.tool])
+    return machine, artefacts, frame
 
 
 def _refuse_unknown_radius(job: Job) -> None:
@@ -169,6 +187,7 @@ def _refuse_unsafe_placement(job: Job) -> None:
     located safely in a position that is to be measured."""
     if job.layout.placement is None:
         return
+    _refuse_fast_search(job)
     listed = listed_positions(job.settings, verification_stations(job.settings))
     for position in (*job.positions, *listed):
         where = f"station {position.station}, azimuth {position.azimuth_deg:g}°, elevation {position.elevation_deg:g}°"
@@ -188,6 +207,29 @@ def _refuse_unsafe_placement(job: Job) -> None:
                 raise ConfigurationError(
                     f"{error.message} ({where})", key="procedure.position_set", hint=error.hint
                 ) from error
+
+
+def _refuse_fast_search(job: Job) -> None:
+    """Raise ConfigurationError if the tip, which searches an artefact along the stylus, would reach the holder of a
+    ball on which it comes down before the axis stands."""
+    feed_mm_per_s = job.settings.procedure.guarded_feed_mm_per_min / S_PER_MIN
+    acceleration = job.machine.acceleration_mm_per_s2[job.layout.frame.axis]
+    braking_mm = feed_mm_per_s**2 / (2.0 * acceleration)
+    free_mm = job.artefact.ball_radius_mm - job.artefact.body.holder_radius_mm
+    if free_mm <= 0.0:
+        raise ConfigurationError(
+            "the balls are not thicker than their holders, so the tip could meet a holder while it looks for a ball",
+            key="artefact",
+            hint="use an artefact with thicker balls or thinner holders",
+        )
+    if braking_mm >= free_mm:
+        axis = AXES[job.layout.frame.axis]
+        raise ConfigurationError(
+            f"the search for the artefact is too fast: after the contact with a ball, the tip moves {braking_mm:.1f} mm"
+            f" until {axis} stands, and reaches the holder of the ball after {free_mm:.1f} mm",
+            key="procedure.guarded_feed_mm_per_min",
+            hint=f"state less than {math.floor(math.sqrt(2.0 * acceleration * free_mm) * S_PER_MIN)} mm/min",
+        )
 
 
 def _refuse_no_gap(job: Job, position: Position, where: str) -> None:

@@ -28,7 +28,7 @@ from agent.probing.touch import point
 from agent.thermal.readings import Conditions
 from twin.artefact.artefact import Artefact
 from twin.artefact.mount_pose_estimate import MountPoseEstimate
-from twin.artefact.position_set import MIN_BALLS, Position
+from twin.artefact.position_set import CHECKABLE_BALLS, MIN_BALLS, Position
 from twin.collision.locating_balls import top_mm
 from twin.collision.measuring_layout import MeasuringLayout
 from twin.identification.checks.measured_shape import reversed_fit_mm
@@ -80,6 +80,11 @@ class MeasuredPositions:
     @property
     def lost(self) -> int:
         return sum(p.lost for p in self.positions)
+
+    @property
+    def uncheckable(self) -> int:
+        """Number of positions with so few measured balls that a wrong one cannot be told from the others."""
+        return sum(len(p.balls) < CHECKABLE_BALLS for p in self.positions)
 
 
 def measure_positions(

@@ -48,6 +48,7 @@ from agent.thermal.thermometer import ThermometerFacts
 from drivers.errors import InputError
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
+from twin.artefact.touch_pattern import RADIUS_PATTERN
 from twin.formats.estimate_file import StoredEstimate, parse_estimate
 from twin.monitoring.step_power import SmallestStep
 
@@ -91,7 +92,7 @@ def _header(record: RunRecord, found: IdentificationData | None) -> Header:
     shown = {
         "Prior": "machine family" if chosen["prior"] else "none",
         "Weights": "full covariances" if chosen["weights"] == "full" else "equal",
-        "Touches per ball": str(settings["procedure"]["touches_per_ball"]),
+        "Touches per ball": str(_touches_per_ball(record)),
     }
     if identified is not None:
         shown["Legendre order"] = identified["order"]
@@ -153,6 +154,7 @@ def _gates(record: RunRecord) -> tuple[Gate, ...]:
 def _facts(record: RunRecord, inputs: Mapping[str, Any], trend: str) -> RunFacts:
     outcome = record.decision(OUTCOME) or {}
     probe = record.decision(PROBE)
+    touches = _touches_per_ball(record)
     return RunFacts(
         touches=outcome.get("touches", record.touches),
         machine_minutes=outcome.get("machine_minutes", record.minutes),
@@ -176,8 +178,13 @@ def _facts(record: RunRecord, inputs: Mapping[str, Any], trend: str) -> RunFacts
         events=shown_events(record),
         probe=None if probe is None else _probe(probe["facts"], outcome),
         after_homing=after_homing_text(outcome.get("after_homing")) if record.estimate is not None else "",
+        touches_checked_together=None if touches >= RADIUS_PATTERN else touches,
         trend=trend,
     )
+
+
+def _touches_per_ball(record: RunRecord) -> int:
+    return int(record.settings["procedure"]["touches_per_ball"])
 
 
 def _readable_time(stamp: str) -> str:

@@ -9,7 +9,18 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
+from twin.artefact.position_set import CHECKABLE_BALLS
 from twin.compensation.table import CompensationTable
+
+
+def unchecked_text(count: int, positions: int, touches: int) -> str:
+    """Return the statement that in `count` of all `positions` a wrong touch cannot be told, if each ball is touched so
+    few times (`touches`) that its balls can only be checked against each other."""
+    have = "position has" if count == 1 else "positions have"
+    return (
+        f"{count} of {positions} {have} fewer than {CHECKABLE_BALLS} balls; a wrong one of {touches} touches cannot be "
+        "told there"
+    )
 
 
 @dataclass(frozen=True)

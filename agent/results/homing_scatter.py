@@ -25,7 +25,7 @@ GRID_SHAPE = (20, 10, 10)
 Triple = tuple[float, float, float]
 Limits = tuple[float, float]
 
-NOT_KNOWN = "not known: measure the scatter of the homing with `volcal try --homing 5`"
+NOT_KNOWN = "not known; volcal try --homing 5 measures the scatter of the homing"
 
 
 @dataclass(frozen=True)

@@ -3,24 +3,30 @@
 from __future__ import annotations
 
 import shlex
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from agent.errors import PlanRefused
 from agent.files import write_all_atomically
 from agent.planning.design.set_valuation import valuation_of
 from agent.planning.job import Job
+from agent.planning.job_preparation import reached_balls
 from agent.planning.new_machine.answers import SetupAnswers
-from agent.planning.new_machine.artefact_setup import SIZES_MM, STRAIGHT_BAR
-from agent.planning.new_machine.fields import SHAPE, SIZE, TRAVEL
+from agent.planning.new_machine.artefact_setup import BY_HAND, SIZES_MM, STRAIGHT_BAR
+from agent.planning.new_machine.fields import PLACEMENT, SHAPE, SIZE, TRAVEL
+from agent.planning.new_machine.machine_setup import Triple
 from agent.planning.new_machine.new_setup import LAST_EFFORT, POSITIONS_FILE, SETTINGS_FILE, NewSetup
 from agent.planning.new_machine.setup_files import checked_files
 from agent.results.gate_forecast import GateForecast, forecast_gates
 from agent.results.gates import PROOF
 from agent.runs.kinds.calibrate import calibration_of, preflight_of
 from drivers.errors import ConfigurationError, InputError, VolcalError
+from twin.artefact.position_set import MIN_BALLS
 from twin.units import S_PER_MIN
 
 PREVIEW = "preview"
@@ -32,6 +38,9 @@ GOOD_GAIN = 0.6
 KEYS_OF_REACH = ("stations.places_mm", "verification.positions", "verification.positions_deg", "procedure.position_set")
 """Keys that an error names if too few balls or positions of a proposed set are within reach."""
 
+LONG_MM = 400.0
+"""Travel of every axis at which the smallest proposed artefact fits."""
+TRAVEL_STEP_MM = 10.0
 HELD_OUT = (8, 16)
 """Numbers of held-out positions, in ascending order, if the default cannot show the predicted improvement."""
 
@@ -115,9 +124,11 @@ def prepare_files(answers: SetupAnswers, scratch: Path) -> NewFiles:
 
     The size of a proposed artefact is reduced until it fits and the preflight accepts the plan. Raises InputError if an
     answer is missing or impossible, or if a stated artefact does not fit; the error then names the largest one that
-    does. Raises ConfigurationError if the files contradict each other. `scratch` is an empty directory.
+    does, or if no artefact fits. Raises ConfigurationError if the files contradict each other. `scratch` is an empty
+    directory.
     """
-    setup = answers.collect()
+    first = setup = answers.collect()
+    hand_places = setup.stations.by_hand and setup.position_set is None
     refused: NewSetup | None = None
     while True:
         failed: ConfigurationError | PlanRefused | None
@@ -135,18 +146,52 @@ def prepare_files(answers: SetupAnswers, scratch: Path) -> NewFiles:
         if smaller is None:
             break
         setup = smaller
+    # All sizes were tried with the places as stated; with proposed places, a larger one may fit.
+    setup = first if hand_places else setup
     fitting = _largest_fitting(answers, setup, scratch)
     if fitting is not None:
         raise _does_not_fit(setup, fitting, failed) from failed
-    if refused is not None:
+    if refused is not None and not hand_places:
         return _prepared(refused, scratch)
-    travel = " × ".join(f"{length:g}" for length in setup.machine.travel_mm)
+    least = _least_travel(answers, setup, scratch) if hand_places else None
     raise InputError(
-        f"no artefact that is proposed fits a travel of {travel} mm, not even a straight bar of "
-        f"{SIZES_MM[STRAIGHT_BAR][0]} mm with three balls: {failed.message}",
-        hint="correct the travel or what is stated of the mount",
+        f"no artefact that is proposed fits a travel of {_travel_text(setup.machine.travel_mm)}, not even a straight "
+        f"bar of {SIZES_MM[STRAIGHT_BAR][0]} mm with three balls: {failed.message}",
+        hint="correct the travel or what is stated of the mount"
+        + ("" if least is None else f"; one of {_travel_text(least)} would do"),
         option=TRAVEL.flag,
     ) from failed
+
+
+def _travel_text(travel_mm: Triple) -> str:
+    return f"{' × '.join(f'{length:g}' for length in travel_mm)} mm"
+
+
+def _least_travel(answers: SetupAnswers, setup: NewSetup, scratch: Path) -> Triple | None:
+    """Return travels of X, Y and Z in mm, not shorter than those of the machine and none longer than needed, at which
+    the smallest bar that is placed by hand can be measured; None if there are none."""
+    *_, smallest = answers.fitting_candidates(setup)
+    own = setup.machine.travel_mm
+
+    def fits(travel_mm: Triple) -> bool:
+        try:
+            _, job = checked_files(answers.on_travel(smallest, travel_mm), scratch)
+            # The forecast takes much longer than this count, so it comes last.
+            if all(reached_balls(job, position) < MIN_BALLS for position in job.held_out):
+                return False
+            forecast_gates(job)
+        except (ConfigurationError, InputError):
+            return False
+        return True
+
+    least = (max(own[0], LONG_MM), max(own[1], LONG_MM), max(own[2], LONG_MM))
+    if not fits(least):
+        return None
+    for axis in range(3):
+        lengths = [own[axis], *np.arange(TRAVEL_STEP_MM, least[axis], TRAVEL_STEP_MM).tolist(), least[axis]]
+        offered = [(*least[:axis], length, *least[axis + 1 :]) for length in lengths if length >= own[axis]]
+        least = offered[bisect_left(offered, True, key=fits)]
+    return least if _prepared(answers.on_travel(smallest, least), scratch).refused is None else None
 
 
 def _largest_fitting(answers: SetupAnswers, setup: NewSetup, scratch: Path) -> NewSetup | None:
@@ -164,6 +209,8 @@ def _does_not_fit(setup: NewSetup, fitting: NewSetup, failed: VolcalError) -> In
     """Return the error for an artefact that does not fit, with the options of the largest one that does."""
     artefact, stations = fitting.artefact, fitting.stations
     options = [SHAPE.flag, artefact.shape, SIZE.flag, f"{artefact.size_mm:g}"]
+    if stations.by_hand:
+        options += [PLACEMENT.flag, BY_HAND]
     pitch = f", {artefact.size_mm / (artefact.balls - 1):g} mm apart" if artefact.is_bar else ""
     omitted = "the other options of the artefact"
     if stations.origins != setup.stations.origins or len(stations.places_mm) != len(setup.stations.places_mm):

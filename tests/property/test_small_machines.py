@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import HealthCheck, Phase, example, given, settings
 from hypothesis import strategies as st
 
 from agent.planning.job_preparation import prepare_job
@@ -31,6 +31,10 @@ STATED = {
     "shaft": st.sampled_from(["30", "90"]),
     "stations": st.sampled_from(["1", "2"]),
 }
+STATED_BY_HAND = {name: values for name, values in STATED.items() if name != "shaft"} | {
+    "table_z": st.sampled_from(["-200", "-120", "-60"])
+}
+BY_HAND_EXAMPLES = 60 if settings.get_current_profile_name() == "long" else 2
 
 
 def prepared(options: Options) -> NewFiles:
@@ -58,6 +62,12 @@ def proposed(refused: InputError, options: Options) -> Options | None:
     return {name: value for name, value in options.items() if name not in dropped} | stated
 
 
+def with_travel_that_would_do(refused: InputError, options: Options) -> Options | None:
+    """Return the options with the travel that the error names, None if it names none."""
+    found = re.search(r"one of (\S+) × (\S+) × (\S+) mm would do", refused.hint)
+    return None if found is None else {**options, "travel": found.groups()}
+
+
 def router(*travel: str, **stated: str) -> Options:
     return {"machine_class": "router", "travel": travel, **stated}
 
@@ -82,6 +92,52 @@ def test_what_is_accepted_can_be_planned_and_what_is_proposed_is_accepted(option
             return
         files = prepared(instead)
     assert files.refused is None
+
+
+def by_hand(*travel: str, **stated: str) -> Options:
+    return router(*travel, placement="by-hand", **stated)
+
+
+@st.composite
+def machines_without_a_mount(draw: st.DrawFn) -> Options:
+    travel = [str(draw(st.integers(low, high))) for low, high in ((100, 1500), (60, 1000), (40, 500))]
+    names = draw(st.sets(st.sampled_from(sorted(STATED_BY_HAND)), max_size=1))
+    return by_hand(*travel, **{name: draw(STATED_BY_HAND[name]) for name in sorted(names)})
+
+
+@settings(
+    max_examples=BY_HAND_EXAMPLES,
+    deadline=None,
+    phases=[Phase.explicit, Phase.generate],
+    suppress_health_check=[HealthCheck.too_slow],
+)
+@given(machines_without_a_mount())
+@example(by_hand("600", "400", "120"))
+@example(by_hand("300", "180", "45"))
+@example(by_hand("300", "180", "80", table_z="-60"))
+def test_an_artefact_placed_by_hand_is_planned_or_the_refusal_names_what_would_fit(options: Options) -> None:
+    try:
+        files = prepared(options)
+    except InputError as refused:
+        instead = proposed(refused, options) or with_travel_that_would_do(refused, options)
+        assert instead is not None, str(refused)
+        files = prepared(instead)
+    assert files.refused is None
+    assert files.setup.stations.by_hand
+
+
+def test_a_machine_too_small_for_an_artefact_placed_by_hand_is_told_the_travel_that_is_needed() -> None:
+    options = by_hand("150", "80", "60")
+    with pytest.raises(InputError, match="no artefact that is proposed fits a travel of 150 × 80 × 60 mm") as refused:
+        prepared(options)
+    instead = with_travel_that_would_do(refused.value, options)
+    assert instead is not None
+    longer = [float(length) for length in instead["travel"]]
+    assert (longer[0], longer[2]) == (150.0, 60.0)
+    assert prepared(instead).refused is None
+    shorter = by_hand("150", str(longer[1] - 10.0), "60")
+    with pytest.raises(InputError, match="no artefact that is proposed fits"):
+        prepared(shorter)
 
 
 def test_a_hobby_router_needs_no_statement_about_its_artefact() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -52,6 +53,20 @@ def test_picture_and_page_are_written_and_named(written: tuple[Path, dict]) -> N
     page = (folder / "plan.html").read_text(encoding="utf-8")
     assert f"{said['unreachable_balls']}," in page.split('"unreachable":', 1)[1]
     assert json.loads(data_of(page))["minutes"] == pytest.approx(said["machine_minutes"], abs=0.01)
+
+
+def test_positions_in_which_a_wrong_one_of_three_touches_cannot_be_told_are_counted(tmp_path: Path) -> None:
+    listed = tmp_path / "few.csv"
+    listed.write_text(
+        "station,azimuth_deg,elevation_deg,balls\n"
+        "1,0,-30,0 5 10\n1,-60,15,0 3 6 10\n1,15,30,0 2 5 8 10\n2,0,0,\n3,-60,60,\n3,0,0,\n"
+    )
+    quick = ("plan", "--config", CONFIG.with_name("quick.toml"), "--position-set", listed)
+    said = json.loads(volcal(*quick, "--json", exit_code=None).stdout)
+    assert said["unchecked_positions"] == 2
+    told = " ".join(volcal(*quick, exit_code=None).stdout.split())
+    assert re.search(r"2 of \d+ positions have fewer than 5 balls", told)
+    assert json.loads(plan("--json").stdout)["unchecked_positions"] is None  # five touches of a ball are enough
 
 
 def test_without_a_preview_its_drawing_is_not_even_imported() -> None:

@@ -23,6 +23,7 @@ from agent.runs.kinds import sequential
 from agent.runs.kinds.calibrate import FullCalibration
 from agent.runs.kinds.calibration import CalibrationTask
 from agent.runs.kinds.sequential import STOP, SequentialEnd, SequentialTask, sequential_calibration, with_positions
+from agent.runs.kinds.slot import AvailableTime
 from agent.runs.session import RunResult
 from agent.settings.schema import Settings
 from campaigns.resume.case import (
@@ -138,7 +139,7 @@ def walked(whole: tuple) -> PreflightResult:
     by_name = {position_key(one): one for one in candidates.positions}
     planned = tuple(by_name[name] for name in measured_names(directory))
     own = with_positions(job, planned)
-    task = SequentialTask(CalibrationTask(own), candidates, SequentialEnd(None, SLOT, 0.5), planned)
+    task = SequentialTask(CalibrationTask(own), candidates, SequentialEnd(None, AvailableTime(SLOT, 0.5)), planned)
     return run_preflight(own, lambda _: sequential_calibration(task))
 
 

@@ -86,7 +86,7 @@ def test_grbl_homes_and_the_plan_counts_what_was_measured(machine: tuple[Path, d
     config = settings(directory, ready, "grbl", GRBL.format(**ready["serial"]))
     before = json.loads(called(config, "plan", "--json").stdout)
     assert before["after_homing"] is None
-    assert "not known: measure the scatter" in called(config, "plan").stdout
+    assert "not known; volcal try --homing 5 measures the scatter" in called(config, "plan").stdout
     tried = called(config, "try", "--homing", "4", "--json")
     assert tried.returncode == 0, tried.stderr
     homing = json.loads(tried.stdout)["trial"]["homing"]

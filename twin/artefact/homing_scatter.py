@@ -6,11 +6,9 @@ import math
 from dataclasses import dataclass
 
 from twin.arrays import Array
+from twin.artefact.homing_count import FEWEST_HOMINGS
 from twin.artefact.repeatability import estimate_repeatability
 from twin.errors import DataError
-
-FEWEST_HOMINGS = 3
-"""Number of homings from which a standard deviation is stated; its upper 95 % limit is then six times its value."""
 
 
 @dataclass(frozen=True)

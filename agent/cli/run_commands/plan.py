@@ -33,7 +33,7 @@ if will_run():
     from agent.planning.preflight import PreflightResult
     from agent.planning.run_minutes import minutes_by_phase, run_minutes
     from agent.probing.run_plan import position_key
-    from agent.results.facts import Quantity
+    from agent.results.facts import Quantity, unchecked_text
     from agent.results.gate_forecast import GateForecast, forecast_gates, require_forecast
     from agent.results.homing_scatter import after_homing_text
     from agent.results.predicted_accuracy import PredictedAccuracy, predict_accuracy
@@ -161,6 +161,7 @@ def _document(
         "order": [position_key(p) for p in job.measuring_order.positions],
         "left_out": list(preflight.measured.left_out),
         "unreachable_balls": preflight.measured.unreachable_balls,
+        "unchecked_positions": _unchecked_positions(job, preflight),
         "balls": balls,
         "touches": preflight.measured.touches + preflight.verified.touches,
         "machine_minutes": round(preflight.machine_minutes, 3),
@@ -209,6 +210,7 @@ def _table(
         ("left out", ", ".join(measured.left_out) or "none"),
         ("balls out of reach", str(measured.unreachable_balls)),
         ("touches", str(measured.touches + preflight.verified.touches)),
+        *_unchecked_rows(job, preflight),
         ("machine time", f"{preflight.machine_minutes:.1f} min ({before_minutes:.1f} as listed, by plain paths)"),
         ("of which", minutes_by_phase(preflight.steps, job.held_out).text),
         ("with the latencies", job.latencies_text),
@@ -221,6 +223,20 @@ def _table(
         ("preflight took", f"{preflight.wall_seconds:.2f} s for {preflight.commands} steps"),
     ]
     return facts_table(rows, title="preflight passed: no collision, no limit")
+
+
+def _unchecked_positions(job: Job, preflight: PreflightResult) -> int | None:
+    """Return the number of positions in which a wrong touch cannot be told because they have too few balls; None if the
+    touches of each ball are checked by themselves."""
+    return None if job.rules.consistency is None else preflight.measured.uncheckable
+
+
+def _unchecked_rows(job: Job, preflight: PreflightResult) -> list[tuple[str, str]]:
+    count = _unchecked_positions(job, preflight)
+    if not count:
+        return []
+    positions = len(preflight.measured.positions)
+    return [("not checked", unchecked_text(count, positions, job.settings.procedure.touches_per_ball))]
 
 
 def _after_homing(job: Job, expectation: PredictedAccuracy) -> dict[str, object] | None:

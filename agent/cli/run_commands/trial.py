@@ -10,6 +10,7 @@ import click
 from agent.cli.errors import fail, reported
 from agent.cli.invocation import will_run
 from agent.cli.options import config_option, procedure_options
+from twin.artefact.homing_count import FEWEST_HOMINGS, MOST_HOMINGS
 
 if will_run():
     from rich.table import Table
@@ -22,9 +23,6 @@ if will_run():
     from agent.runs.kinds.trial import OneBallTrial, with_checks
     from agent.runs.last_latencies import prepare_next_job
     from agent.settings.load import load_settings, naming, with_overrides
-
-FEWEST_HOMINGS, MOST_HOMINGS = 3, 30
-"""Numbers of homings that may be asked for. Fewer show no scatter, and more tell little else."""
 
 
 @click.command("try")

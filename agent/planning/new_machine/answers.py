@@ -24,7 +24,7 @@ from agent.planning.new_machine.artefact_text import nominal
 from agent.planning.new_machine.controller_setup import MODBUS, SERIAL, ControllerSetup
 from agent.planning.new_machine.field import Answers
 from agent.planning.new_machine.hand_placement import propose_hand_places
-from agent.planning.new_machine.machine_setup import STATED, MachineSetup
+from agent.planning.new_machine.machine_setup import STATED, MachineSetup, Triple
 from agent.planning.new_machine.new_setup import ARTEFACT_FILE, NewSetup
 from agent.planning.new_machine.station_setup import StationSetup, check_place, propose_stations
 from drivers.errors import ConfigurationError, DeviceError, InputError
@@ -111,19 +111,24 @@ class SetupAnswers(Answers):
     def fitting_candidates(self, setup: NewSetup) -> Iterator[NewSetup]:
         """Yield the set-up with each proposed artefact that is not larger than its own, the largest first, and then
         with mount and stations as proposed if a person stated something about them."""
-        candidates = smaller_artefacts(setup.artefact.shape, setup.artefact.size_mm)
-        for artefact in candidates:
-            proposed = replace(artefact, calibration=replace(setup.artefact.calibration, length_mm=None))
-            yield replace(
-                setup, artefact=proposed, artefact_files=None, stations=self._stations(setup.machine, proposed)
-            )
-        if not setup.stations.by_hand and any(
-            self.states(field) for field in (fields.MOUNT_AT, fields.SHAFT, fields.TABLE_Z, fields.STATIONS)
-        ):
+        candidates = [
+            replace(artefact, calibration=replace(setup.artefact.calibration, length_mm=None))
+            for artefact in smaller_artefacts(setup.artefact.shape, setup.artefact.size_mm)
+        ]
+        stated = (fields.MOUNT_AT, fields.SHAFT, fields.TABLE_Z, fields.STATIONS)
+        for as_stated in (True, False) if any(self.states(one) for one in stated) else (True,):
             for artefact in candidates:
-                yield replace(
-                    setup, artefact=artefact, artefact_files=None, stations=propose_stations(setup.machine, artefact)
-                )
+                stations = self._stations(setup.machine, artefact, as_stated=as_stated)
+                yield replace(setup, artefact=artefact, artefact_files=None, stations=stations)
+
+    def on_travel(self, setup: NewSetup, travel_mm: Triple) -> NewSetup:
+        """Return the set-up with its artefact on a machine whose axes are `travel_mm` long, with the same lower ends.
+        Everything about the places is proposed."""
+        ends = zip(setup.machine.limits_mm, travel_mm, strict=True)
+        x, y, z = ((low, low + length) for (low, _), length in ends)
+        machine = replace(setup.machine, limits_mm=(x, y, z))
+        stations = self._stations(machine, setup.artefact, as_stated=False)
+        return replace(setup, machine=machine, stations=stations)
 
     def _reported_limits(self, controller: ControllerSetup) -> AxisLimits | None:
         """Return the travel and dynamics that the controller reports, None if there is no controller to be asked.
@@ -164,10 +169,15 @@ class SetupAnswers(Answers):
         calibration = Calibration(kind, self[fields.CERTIFIED_LENGTH], self[fields.LENGTH_UNCERTAINTY])
         return replace(artefact, calibration=calibration), None
 
-    def _stations(self, machine: MachineSetup, artefact: ArtefactSetup) -> StationSetup:
-        if self.states(fields.MOUNT_AT):
+    def _stations(self, machine: MachineSetup, artefact: ArtefactSetup, *, as_stated: bool = True) -> StationSetup:
+        """Return mount and stations or, for an artefact that is placed by hand, its places. If not `as_stated`, all
+        statements about them are left out, except how the artefact is held."""
+        first_mm = self.stated(fields.MOUNT_AT) if as_stated else None
+        count = self.stated(fields.STATIONS) if as_stated else None
+        table_z_mm = self.stated(fields.TABLE_Z) if as_stated else None
+        if first_mm is not None:
             with translated(InputError, option=fields.MOUNT_AT.flag):
-                check_place(machine, artefact, self[fields.MOUNT_AT])
+                check_place(machine, artefact, first_mm)
         if self[fields.PLACEMENT] == BY_HAND:
             return propose_hand_places(
                 machine,
@@ -175,17 +185,17 @@ class SetupAnswers(Answers):
                 load_artefact(self[fields.ARTEFACT])
                 if not artefact.shape
                 else nominal(replace(artefact, calibration=Calibration()), machine.spindle),
-                count=self.stated(fields.STATIONS),
-                first_mm=self.stated(fields.MOUNT_AT),
-                table_z_mm=self.stated(fields.TABLE_Z),
+                count=count,
+                first_mm=first_mm,
+                table_z_mm=table_z_mm,
             )
         return propose_stations(
             machine,
             artefact,
-            count=self.stated(fields.STATIONS),
-            first_mm=self.stated(fields.MOUNT_AT),
-            shaft_mm=self.stated(fields.SHAFT),
-            table_z_mm=self.stated(fields.TABLE_Z),
+            count=count,
+            first_mm=first_mm,
+            shaft_mm=self.stated(fields.SHAFT) if as_stated else None,
+            table_z_mm=table_z_mm,
         )
 
 

@@ -369,7 +369,7 @@ PLACEMENT = SetupField(
     option="How the artefact is held [default: mount].",
     words={
         ON_MOUNT: ("by a rotary mount", "von einer Drehaufnahme"),
-        BY_HAND: ("it is placed by hand on the table", "er wird von Hand auf den Tisch gestellt"),
+        BY_HAND: ("by hand on the table", "von Hand aufgestellt"),
     },
     proposal=lambda _: ON_MOUNT, shown=lambda setup: BY_HAND if setup.stations.by_hand else ON_MOUNT,
 )  # fmt: skip

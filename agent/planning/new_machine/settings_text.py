@@ -12,8 +12,7 @@ from agent.planning.new_machine.controller_setup import (
 )
 from agent.planning.new_machine.fields import PROBE_DIAMETER, STEM, TIP_DIAMETER
 from agent.planning.new_machine.hand_placement import (
-    TOLERANCE_DEG,
-    TOLERANCE_MM,
+    TOLERANCE,
     held_out_azimuths,
     proving_stations,
 )
@@ -209,8 +208,10 @@ def _add_procedure(text: TomlText, setup: NewSetup, position_set: str) -> None:
             f"table and above it on spacers. {stations.origins['places_mm'].capitalize()}."
         )
         text.key("placed_by_hand", True)
-        text.key("placement_tolerance_mm", TOLERANCE_MM, "an artefact that stands farther from its place is refused")
-        text.key("placement_tolerance_deg", TOLERANCE_DEG, "turned further, it is refused too")
+        text.key(
+            "placement_tolerance_mm", TOLERANCE.distance_mm, "an artefact that stands farther from its place is refused"
+        )
+        text.key("placement_tolerance_deg", TOLERANCE.angle_deg, "turned further, it is refused too")
     else:
         _explain_places(text, setup)
     text.key("places_mm", [list(place) for place in stations.places_mm])
@@ -220,6 +221,12 @@ def _add_procedure(text: TomlText, setup: NewSetup, position_set: str) -> None:
     )
     text.key("position_set", position_set, f"{meaning}; or a file")
     text.key("touches_per_ball", setup.touches, "5, 9, 13 or 25: more touches, less noise, more minutes")
+    if stations.search_feed_mm_per_min is not None:
+        text.key(
+            "guarded_feed_mm_per_min",
+            stations.search_feed_mm_per_min,
+            "of the search for the artefact: the tip stops before it meets the holder of a ball",
+        )
     text.section("verification", "Fresh positions that prove a new table are measured at these stations.")
     if stations.by_hand:
         count = setup.held_out_positions

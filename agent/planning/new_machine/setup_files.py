@@ -7,10 +7,10 @@ from pathlib import Path
 
 from agent.model_files import load_artefact
 from agent.planning.job import Job
-from agent.planning.job_preparation import prepare_job, reached_balls
+from agent.planning.job_preparation import prepare_job, prepare_layout, reached_balls
 from agent.planning.new_machine.artefact_text import artefact_text
 from agent.planning.new_machine.fields import MOUNT_AT
-from agent.planning.new_machine.hand_placement import hand_positions
+from agent.planning.new_machine.hand_placement import hand_positions, room_above_mm
 from agent.planning.new_machine.machine_setup import STATED
 from agent.planning.new_machine.machine_text import machine_text
 from agent.planning.new_machine.new_setup import (
@@ -62,9 +62,22 @@ def checked_files(setup: NewSetup, directory: Path) -> tuple[Mapping[str, str], 
 def _placed_by_hand(setup: NewSetup, directory: Path) -> tuple[Mapping[str, str], Job]:
     """Return the texts and the job of an artefact that is placed by hand, with the positions within reach."""
     texts = _texts(setup, POSITIONS_FILE)
-    for name in texts.keys() - {MACHINE_FILE, SETTINGS_FILE, SCENARIO_FILE}:
-        (directory / name).write_text(texts[name], encoding="utf-8")
-    positions = hand_positions(setup.machine, setup.stations, load_artefact(directory / ARTEFACT_FILE))
+    _write(texts, directory)
+    artefact = load_artefact(directory / ARTEFACT_FILE)
+    room_mm = room_above_mm(setup.machine, setup.stations, artefact)
+    if room_mm < 0.0:
+        raise ConfigurationError(
+            f"the artefact is {-room_mm:.0f} mm too high to be touched from above on a table at "
+            f"Z = {setup.stations.table_z_mm:g} mm",
+            key="stations.places_mm",
+            hint="state a smaller artefact or another height of the table (--table-z)",
+        )
+    layout = prepare_layout(load_settings(directory / SETTINGS_FILE))
+    positions = tuple(
+        position
+        for position in hand_positions(setup.stations)
+        if int(layout.reachable(position, layout.nominal(position)).sum()) >= MIN_BALLS
+    )
     if not positions:
         raise ConfigurationError(
             "no proposed position has three balls within the travel",
@@ -103,7 +116,11 @@ def _texts(setup: NewSetup, position_set: str) -> dict[str, str]:
     }
 
 
-def _written(texts: Mapping[str, str], directory: Path) -> Job:
+def _write(texts: Mapping[str, str], directory: Path) -> None:
     for name, text in texts.items():
         (directory / name).write_text(text, encoding="utf-8")
+
+
+def _written(texts: Mapping[str, str], directory: Path) -> Job:
+    _write(texts, directory)
     return prepare_job(load_settings(directory / SETTINGS_FILE), directory)

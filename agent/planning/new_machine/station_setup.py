@@ -59,7 +59,8 @@ class StationSetup:
     `table_z_mm` is the height of the table surface, `shaft_mm` the distance from the azimuth axis to the axis of the
     bar. The pedestal of the mount has the radius `pedestal_radius_mm` and ends `head_mm` above the place.
     `elevation_deg` is the elevation of the inclined orientations. If the artefact is placed `by_hand`, there is no
-    mount: its dimensions are 0, and the places are those of the origin of the artefact frame.
+    mount: its dimensions are 0, and the places are those of the origin of the artefact frame. The tip then looks for it
+    at `search_feed_mm_per_min`; None stands for the default of the settings.
     """
 
     places_mm: tuple[Triple, ...]
@@ -70,6 +71,7 @@ class StationSetup:
     elevation_deg: float
     origins: Mapping[str, str]
     by_hand: bool = False
+    search_feed_mm_per_min: float | None = None
 
 
 def propose_stations(
@@ -80,18 +82,20 @@ def propose_stations(
     first_mm: Triple | None = None,
     shaft_mm: float | None = None,
     table_z_mm: float | None = None,
+    least_inset_mm: float = 0.0,
 ) -> StationSetup:
     """Return the stations along the longest horizontal axis, each with the artefact in the middle of the other travels.
 
     `count`, `first_mm` (place of the mount at station 1), `shaft_mm` and `table_z_mm` replace proposals. The other
-    stations have the same coordinates as the first across their axis, and are spread over the rest of the travel.
+    stations have the same coordinates as the first across their axis, and are spread over the rest of the travel, at
+    least `least_inset_mm` from its ends or in its middle.
     """
     mount = propose_mount(artefact)
     shaft = mount.shaft_mm if shaft_mm is None else shaft_mm
     along = _station_axis(machine)
     middle = first_mm or _middle(machine, artefact, shaft, mount, table_z_mm)
     low, high = machine.stylus_range(along)
-    inset = min(0.5 * END_SHARE * artefact.size_mm, 0.5 * (high - low))
+    inset = min(max(0.5 * END_SHARE * artefact.size_mm, least_inset_mm), 0.5 * (high - low))
     number = count or min(MOST_STATIONS, max(2, math.ceil(OVERLAP * (high - low) / artefact.size_mm)))
     first, last = low + inset, high - inset
     if first_mm is not None:

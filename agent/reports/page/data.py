@@ -211,6 +211,8 @@ class RunFacts:
     `trend` is an SVG that shows the main results of all runs up to this run. `drifts_um` contains one value in µm for
     each position: the displacement of the position's first ball when it was measured again at the end of the position.
     `after_homing` states the accuracy after the next homing; it is empty if the run states none.
+    `touches_checked_together` is the number of touches of a ball if these are so few that the balls of a position are
+    checked against each other, else None.
     """
 
     touches: int | None = None
@@ -230,6 +232,7 @@ class RunFacts:
     events: tuple[EventLine, ...] = ()
     probe: ProbeFacts | None = None
     after_homing: str = ""
+    touches_checked_together: int | None = None
 
 
 @dataclass(frozen=True, eq=False)

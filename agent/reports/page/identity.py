@@ -10,7 +10,9 @@ import numpy as np
 from agent.reports.page.data import IdentificationData, ReportData
 from agent.reports.page.number_format import Rows, fixed, micrometres, number, plural, point
 from agent.reports.page.texts import Texts
-from agent.results.facts import Quantity
+from agent.results.facts import Quantity, unchecked_text
+from twin.artefact.observations import Observations
+from twin.artefact.position_set import CHECKABLE_BALLS
 from twin.identification import BallCheck
 from twin.units import UM_PER_MM
 
@@ -127,6 +129,15 @@ def _machine(identification: IdentificationData) -> Rows:
     return [("Kinematic chain", str(model.chain)), ("Workspace", f"{ranges} mm")]
 
 
+def _unchecked(touches: int | None, seen: Observations) -> list[str]:
+    """Return the statement about positions in which a wrong touch cannot be told, if there are any."""
+    _, balls = np.unique(seen.position, return_counts=True)
+    count = int((balls < CHECKABLE_BALLS).sum())
+    if touches is None or count == 0:
+        return []
+    return [f"Not checked: {unchecked_text(count, len(balls), touches)}."]
+
+
 def validity(data: ReportData, identification: IdentificationData) -> list[str]:
     """Return statements about the tool offset, about the thermometer of the artefact, about the accuracy after a
     homing, and about the region of the workspace for which the result is valid."""
@@ -149,6 +160,7 @@ def validity(data: ReportData, identification: IdentificationData) -> list[str]:
         first,
         *thermometer,
         *homing,
+        *_unchecked(data.run.touches_checked_together, seen),
         f"Balls were measured at axis positions {spans} mm. Outside of them the model extrapolates.",
         "A common scale error of all certified lengths looks like scale errors of the machine's axes and cannot be "
         "seen with this artefact alone, only with a length measured independently.",

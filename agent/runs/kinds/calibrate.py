@@ -15,6 +15,7 @@ from agent.runs.consent import Consent
 from agent.runs.kinds.calibration import CalibrationTask, calibration
 from agent.runs.kinds.sequential import SequentialEnd, SequentialTask, sequential_calibration
 from agent.runs.kinds.sequential_plan import plan_sequential
+from agent.runs.kinds.slot import AvailableTime
 from agent.runs.planned_run import PlannedRun, StartConditions, plan_run
 from agent.runs.reference_state import ReferenceState, full_calibration_need, reference_for
 
@@ -52,7 +53,7 @@ class FullCalibration:
     def _sequential(self, task: CalibrationTask, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
         job = task.job
         slot = run_minutes(job, calibration_of).total if self.slot_minutes is None else self.slot_minutes
-        end = SequentialEnd(self.target_vce_um, slot, job.settings.nightly.reserve_minutes)
+        end = SequentialEnd(self.target_vce_um, AvailableTime(slot, job.settings.nightly.reserve_minutes))
 
         def planned_run(sequential: SequentialTask) -> PlannedRun:
             return plan_run(sequential.job, self, start, lambda: sequential_calibration(sequential), watch)

@@ -108,8 +108,8 @@ class Night:
         judge = Judge(job, reference, nights_since(reference, self.nights, start.at))
         slot = Slot(
             chosen.slot_minutes if self.slot_minutes is None else self.slot_minutes,
-            chosen.full_allowed if self.full_allowed is None else self.full_allowed,
             chosen.reserve_minutes,
+            chosen.full_allowed if self.full_allowed is None else self.full_allowed,
         )
         pending = full_calibration_need(job.settings.state_directory, start.run)
         if pending is not None:

@@ -50,6 +50,7 @@ from agent.results.estimation import EstimationResult, estimate_from_balls
 from agent.results.observations import balls_for_estimate
 from agent.runs.kinds.calibration import CalibrationTask, concluded, nothing_more
 from agent.runs.kinds.run_parts import PreparedRun, found_compensation, prepared_run, refused
+from agent.runs.kinds.slot import AvailableTime
 from agent.thermal.machine_drift import is_drifting
 from twin.artefact.position_set import Position
 from twin.design.sequential import PositionsSeen
@@ -67,14 +68,10 @@ _REFUSED = -1.0  # minutes of a plan that cannot be carried out
 @dataclass(frozen=True)
 class SequentialEnd:
     """End of the measurement: the target of the upper 95 % limit of the predicted VCE in µm, which is None if there is
-    none, and the length of the slot in min, of which `reserve` minutes must remain unused."""
+    none, and the available machine time."""
 
     target_um: float | None
-    slot_minutes: float
-    reserve: float
-
-    def left(self, passed_minutes: float) -> float:
-        return self.slot_minutes - self.reserve - passed_minutes
+    time: AvailableTime
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +201,7 @@ def _chosen(
     number, task = len(measured.positions), running.task
     key = f"sequential/choice-{_attempt(measured, left_out)}"
     now_s: float = yield ReadClock(f"{key}/clock")
-    left = task.end.left((now_s - running.began_s) / S_PER_MIN)
+    left = task.end.time.left((now_s - running.began_s) / S_PER_MIN)
     without = {*positions_in(measured), *left_out}
     offered = {position_key(one): one for one in task.candidates.positions if one not in without}
     offered = {name: one for name, one in offered.items() if name not in measured.left_out}

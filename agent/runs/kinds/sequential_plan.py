@@ -34,14 +34,14 @@ def plan_sequential(
         )
     candidates = SequentialCandidates(job)
     checks, standing = _checks(job)
-    room = end.left(checks)
+    room = end.time.left(checks)
     positions = candidates.planned(room, standing)
     found: PlannedRun | None = None
     # The minutes of the choice are estimates, those of the preflight are not: their difference is used up, or saved.
     while len(positions) >= MIN_POSITIONS:
         own = replace(calibration, job=with_positions(job, positions))
         planned = planned_run(SequentialTask(own, candidates, end, positions))
-        left = end.left(planned.preflight.machine_minutes)
+        left = end.time.left(planned.preflight.machine_minutes)
         if left < 0.0 and found is None:
             positions = positions[:-1]
             continue
@@ -55,8 +55,8 @@ def plan_sequential(
     if found is not None:
         return found
     raise PlanRefused(
-        f"the slot of {end.slot_minutes:g} min is too short: {MIN_POSITIONS} positions, the held-out positions and the "
-        f"proof take about {_shortest_minutes(candidates, checks, standing) + end.reserve:.0f} min",
+        f"the slot of {end.time.minutes:g} min is too short: {MIN_POSITIONS} positions, the held-out positions and the "
+        f"proof take about {_shortest_minutes(candidates, checks, standing) + end.time.reserve:.0f} min",
         hint="give a longer slot, or hold out fewer positions (`verification.positions`, `verification.stations`)",
     )
 

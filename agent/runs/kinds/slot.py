@@ -13,23 +13,25 @@ from twin.units import S_PER_MIN
 
 
 @dataclass(frozen=True)
-class Slot:
-    """Machine time available for a night (slot).
-
-    `minutes` is the length of the slot, of which `reserve` minutes must remain unused. `full_allowed` is True if a full
-    calibration is permitted.
-    """
+class AvailableTime:
+    """Available machine time: `minutes`, of which `reserve` minutes must remain unused."""
 
     minutes: float
-    full_allowed: bool
     reserve: float
-
-    def holds(self, minutes: float) -> bool:
-        return minutes + self.reserve <= self.minutes
 
     def left(self, passed_minutes: float) -> float:
         """Return the minutes that are left when `passed_minutes` have passed."""
         return self.minutes - self.reserve - passed_minutes
+
+
+@dataclass(frozen=True)
+class Slot(AvailableTime):
+    """Machine time available for a night (slot). `full_allowed` is True if a full calibration is permitted."""
+
+    full_allowed: bool
+
+    def holds(self, minutes: float) -> bool:
+        return minutes + self.reserve <= self.minutes
 
 
 @dataclass(frozen=True)

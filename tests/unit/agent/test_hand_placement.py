@@ -77,6 +77,22 @@ def test_what_contradicts_it_is_refused_by_its_key(change: Change, key: str, sai
     assert caught.value.where["key"] == key
 
 
+def test_a_search_that_ends_in_the_holder_of_a_ball_is_refused(tmp_path: Path) -> None:
+    # Balls of 20 mm on holders of 6 mm: the tip may move 7 mm on, so v = √(2 · 400 · 7) mm/s = 4490 mm/min.
+    slow = tmp_path / "slow.toml"
+    text = (CONFIG.parent / "machines" / "mill.toml").read_text(encoding="utf-8")
+    slow.write_text(text.replace("acceleration_mm_per_s2 = 2000.0", "acceleration_mm_per_s2 = 400.0"), encoding="utf-8")
+
+    def searched_at(feed: float) -> Job:
+        return hand_placed(lambda d: (d.update(machine=str(slow)), d["procedure"].update(guarded_feed_mm_per_min=feed)))
+
+    with pytest.raises(ConfigurationError, match=r"moves 7\.3 mm until Z stands") as caught:
+        searched_at(4600.0)
+    assert caught.value.where["key"] == "procedure.guarded_feed_mm_per_min"
+    assert caught.value.hint == "state less than 4489 mm/min"
+    assert searched_at(4488.0).settings.procedure.guarded_feed_mm_per_min == 4488.0
+
+
 def test_the_parts_of_a_mount_are_refused_by_their_key() -> None:
     with pytest.raises(FormatError, match=r"mount\.shaft_mm: .* has no mount"):
         hand_placed(lambda d: d["mount"].update(shaft_mm=100.0))

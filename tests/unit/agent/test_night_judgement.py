@@ -257,7 +257,7 @@ class Night:
             minutes=lambda positions: 2.0 * len(positions), discriminating=lambda *_, **__: suspected
         )
         job: Any = StubJob()
-        self.task = NightTask(job, judge, PLAN, chooser, Slot(slot_minutes, full_allowed, reserve), USUAL_STORE)
+        self.task = NightTask(job, judge, PLAN, chooser, Slot(slot_minutes, reserve, full_allowed), USUAL_STORE)
         self.tracker = RunStateTracker(self.recorder, lambda _: None)
 
     @property

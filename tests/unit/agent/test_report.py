@@ -21,6 +21,7 @@ from agent.reports.page import (
 )
 from agent.reports.page.data import name_of_positions
 from agent.reports.page.error_curves import cross_effect_curves, geometric_error_curves
+from agent.reports.page.identity import validity
 from agent.reports.page.number_format import fixed, micrometres, number
 from agent.reports.page.render import render_report
 from agent.reports.page.residual_figures import BallResiduals
@@ -215,6 +216,22 @@ class TestPage:
 
 
 class TestRunSections:
+    @pytest.mark.parametrize(("touches", "said"), [(3, True), (None, False)])
+    def test_positions_whose_balls_cannot_be_checked_are_counted(
+        self, offline: ReportData, touches: int | None, said: bool
+    ) -> None:
+        found = offline.identification
+        assert found is not None
+        seen = found.observations
+        here = seen.position == seen.position[0]
+        few = seen.select(np.flatnonzero(~here | (np.cumsum(here) <= 4)))
+        run = RunFacts(800, 91.2, touches_checked_together=touches)
+        shown = replace(found, observations=few)
+        data = replace(offline, run=run, identification=shown)
+        counted = f"1 of {len(set(seen.position.tolist()))} position"
+        statements = [text for text in validity(data, shown) if text.startswith("Not checked: ")]
+        assert [counted in text and "fewer than 5 balls" in text for text in statements] == [True] * said
+
     def test_a_run_shows_what_it_decided_and_proved(self, offline: ReportData) -> None:
         proof = VerificationFacts(
             False,

@@ -257,7 +257,6 @@ def test_an_artefact_placed_by_hand_has_a_complete_set_up(tmp_path: Path, shape:
         ({"spindle": "+Z"}, "--placement", "a stylus that points down"),
         ({"spindle": "+Y"}, "--placement", "a stylus that points down"),
         ({"shaft": "80"}, "--shaft", "placed by hand"),
-        ({"table_z": "200"}, "--size", "too high"),
     ],
 )
 def test_what_cannot_be_placed_by_hand_is_refused(

@@ -7,7 +7,8 @@ import pytest
 from scipy.stats import chi2
 
 from twin.arrays import Array
-from twin.artefact.homing_scatter import FEWEST_HOMINGS, homing_scatter
+from twin.artefact.homing_count import FEWEST_HOMINGS
+from twin.artefact.homing_scatter import homing_scatter
 from twin.errors import DataError
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import exact_deviation

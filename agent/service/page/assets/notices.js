@@ -16,7 +16,7 @@ export function showProblem(error, nodes = (text) => [text]) {
   if (!(error instanceof Refused)) throw error;
   const { status, detail, hint } = error.problem;
   const own = `problem.${status}`;
-  return show("problem", known(own) ? say(own) : detail, known(own) && status !== 409 ? hint ?? "" : [detail, hint].filter(Boolean).join(" – "), nodes);
+  return show("problem", known(own) ? say(own) : detail, known(own) && status === 409 ? [detail, hint].filter(Boolean).join(" – ") : hint ?? "", nodes);
 }
 
 export const hide = () => byId("said").replaceChildren();

@@ -1,6 +1,6 @@
 /* Section with the position set of the settings: expected error before and after it, and its increase without each position. */
 import { make } from "./dom.js";
-import { number, say } from "./language.js";
+import { instant, number, say } from "./language.js";
 import { facts, heading, remark, table } from "./parts.js";
 import { read } from "./requests.js";
 
@@ -14,7 +14,7 @@ export async function parts() {
     heading("design.title"),
     facts([["design.set", worth.position_set], ["design.positions", number(worth.positions.length, 0)], ["design.balls", number(worth.balls, 0)],
       ["design.minutes", say("unit.minutes", { minutes: number(worth.minutes, 1) })],
-      ["design.latencies", worth.latencies_from || say("design.latencies_stated")],
+      ["design.latencies", worth.latencies_from ? say("design.latencies_run", { started: startOf(worth.latencies_from) }) : say("design.latencies_stated")],
       ["design.before", um(worth.before_um)], ["design.after", um(worth.after_um)],
       ["design.percent", say("unit.percent", { value: number(worth.percent, 1) })]]),
     remark("design.is"),
@@ -24,6 +24,9 @@ export async function parts() {
     ...listed("design.out_of_reach", worth.out_of_reach),
   ];
 }
+
+/* The time at which a run began, from its name such as 20261127T010000Z-aaaa. */
+const startOf = (run) => instant(run.replace(/^(....)(..)(..)T(..)(..)(..)Z.*$/, "$1-$2-$3T$4:$5:$6Z"));
 
 const place = ({ station, azimuth_deg, elevation_deg }) => [number(station, 0), `${number(azimuth_deg, 1)}°`, `${number(elevation_deg, 1)}°`];
 

@@ -1,7 +1,7 @@
 /* Fields of a step. A value is sent when it is left; what it means and what is wrong comes from the service. */
 import { make } from "./dom.js";
 import { known, say } from "./language.js";
-import { inPageWords, prose } from "./setup-words.js";
+import { inPageWords, prose, sentences } from "./setup-words.js";
 import { change, seen } from "./setup-state.js";
 
 const AXES = ["X", "Y", "Z"];
@@ -20,7 +20,11 @@ export function fieldOf(field) {
     input.setAttribute("aria-describedby", `help-${field.name} error-${field.name}`);
     input.addEventListener("change", () => change("answers", { answers: { [field.name]: element.valueNow() } }));
   }
+  const title = element.querySelector("label, legend").firstChild;
   const update = (needed = false) => {
+    title.textContent = titleOf(field);
+    // Without a mount there is nothing to state about it; what was stated before stays in sight, with what is wrong about it.
+    element.hidden = field.name === "shaft" && placedByHand() && !seen.now.answers.shaft;
     const problem = seen.now.problems[field.name];
     const missing = needed && seen.now.missing === field.name;
     propose(seen.now.proposals[field.name] ?? "");
@@ -54,10 +58,17 @@ function inWords(field, problem) {
   if (field.step === "artefact" && field.name !== "artefact" && seen.now.answers.artefact) return [say("wrong.beside_file")];
   const own = `wrong.field_${field.name}`;
   const text = known(own) ? say(own) : say(`expected.${field.kind}`);
-  return DETAILED.has(field.name) ? [text, make("small", {}, ...prose(inPageWords([problem.detail, problem.hint].filter(Boolean).join(". "))))] : [text];
+  return DETAILED.has(field.name) ? [text, make("small", {}, ...prose(inPageWords(sentences(problem.detail, problem.hint))))] : [text];
 }
 
-const labelOf = (field) => [say(`field.${field.name}`), " ", make("span", { className: "optional" }, say("setup.optional"))];
+/* Whether a person puts the artefact down; there is no mount then. */
+export const placedByHand = () => (seen.now.answers.placement || seen.now.proposals.placement) === "by-hand";
+
+function titleOf({ name }) {
+  return placedByHand() && known(`placed.${name}`) ? say(`placed.${name}`) : say(`field.${name}`);
+}
+
+const labelOf = (field) => [titleOf(field), " ", make("span", { className: "optional" }, say("setup.optional"))];
 const clean = (field, text) => (NUMERIC.has(field.kind) ? text.trim().replaceAll(",", ".") : text.trim());
 
 function textField(field) {
@@ -92,7 +103,7 @@ function tripleField(field) {
   const element = make("fieldset", { className: "field" }, make("legend", {}, ...labelOf(field)),
     make("div", { className: "axes" }, ...AXES.map((axis, i) => make("label", {}, axis, inputs[i]))));
   element.valueNow = () => combined(inputs.map((input) => clean(field, input.value)), inputs.map((input) => input.placeholder));
-  const propose = (text) => text.split(" ").forEach((part, i) => i < inputs.length && (inputs[i].placeholder = part));
+  const propose = (text) => inputs.forEach((input, i) => (input.placeholder = text.split(" ")[i] ?? ""));
   return { element, inputs, propose };
 }
 
@@ -110,7 +121,7 @@ function travelsField(field) {
     make("div", { className: "ends" }, make("span"), make("span", { className: "column" }, say("setup.lowest")), make("span", { className: "column" }, say("setup.highest")),
       ...AXES.flatMap((axis, i) => [make("b", {}, axis), ...ends[i]])));
   element.valueNow = () => travelText(field, ends);
-  const propose = (text) => text.split(" ").map(endsOf).forEach((pair, i) => pair.forEach((part, k) => i < ends.length && (ends[i][k].placeholder = part)));
+  const propose = (text) => ends.forEach((pair, i) => endsOf(text.split(" ")[i] ?? "").forEach((part, k) => (pair[k].placeholder = part)));
   return { element, inputs: ends.flat(), propose };
 }
 

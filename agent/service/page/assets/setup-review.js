@@ -4,15 +4,15 @@ import { known, number, say } from "./language.js";
 import { facts, table } from "./parts.js";
 import { findingText, unchecked, wrongAxes } from "./setup-checks.js";
 import { change, seen, send } from "./setup-state.js";
-import { inPageWords, prose } from "./setup-words.js";
+import { inPageWords, prose, sentences } from "./setup-words.js";
 
 export function reviewPanel() {
   const box = make("div", { className: "content-parts" });
   let preparing = false;
   const prepare = async () => {
-    preparing = true;
+    [preparing, seen.refusal] = [true, null];
     update();
-    await change("review");
+    await change("review", {}, (problem) => (seen.refusal = problem));
     preparing = false;
     update();
   };
@@ -20,10 +20,13 @@ export function reviewPanel() {
     const { review, written } = seen.now;
     const act = preparing ? make("p", { role: "status" }, say("review.preparing"))
       : review ? null : make("div", { className: "acts" }, make("button", { id: "prepare", className: "big go", onclick: prepare }, say("review.prepare")));
-    box.replaceChildren(...[written ? writtenPart(written) : null, act, ...(review ? reviewParts(review, written) : [])].filter(Boolean));
+    const why = seen.refusal ? problemPanel(sentences(seen.refusal.detail, seen.refusal.hint)) : null;
+    box.replaceChildren(...[why, written ? writtenPart(written) : null, act, ...(review ? reviewParts(review, written) : [])].filter(Boolean));
   };
   return { element: box, update };
 }
+
+const problemPanel = (text) => make("div", { className: "panel problem", role: "alert" }, make("b", {}, say("review.refused")), make("p", {}, ...prose(inPageWords(text))));
 
 function reviewParts(review, written) {
   const { summary } = review;
@@ -36,7 +39,7 @@ function reviewParts(review, written) {
     open.length ? make("div", { className: "panel" }, make("h2", {}, say("review.open")), make("ul", {}, ...open.map((text) => make("li", {}, text)))) : null,
     written ? null : make("div", { className: "acts" }, make("button", { id: "write", className: "big go", onclick: () => change("write") }, say("review.write"))),
     make("h2", {}, say("review.plan")),
-    review.refused ? make("div", { className: "panel problem" }, make("b", {}, say("review.refused")), make("p", {}, ...prose(inPageWords(review.refused)))) : null,
+    review.refused ? problemPanel(review.refused) : null,
     facts(pairs),
     ...review.preview.filter((name) => name.endsWith(".png")).map((name) => make("img", { className: "picture", src: `/api/setup/preview/${name}?${encodeURIComponent(review.preview_directory)}`, alt: say("review.picture") })),
     make("h2", {}, say("review.gates")), gates(review.gates),

@@ -5,7 +5,8 @@ import { hide, showProblem } from "./notices.js";
 import { ask, read, Refused, token } from "./requests.js";
 import { inPageWords, prose } from "./setup-words.js";
 
-export const seen = { now: null, fields: [], steps: [], finished: false };
+/* `refusal` is the problem for which the review of the present statements was refused. */
+export const seen = { now: null, fields: [], steps: [], finished: false, refusal: null };
 const listeners = new Set();
 let last = Promise.resolve();
 
@@ -19,27 +20,28 @@ export async function load() {
 }
 
 function take(document) {
-  seen.now = document;
+  [seen.now, seen.refusal] = [document, null];
   for (const listener of listeners) listener();
 }
 
-/* Sends a request with the token and returns its answer, null if it was refused; one request after the other. */
-export function send(path, body = {}) {
-  const answer = last.then(() => sent(path, body));
+/* Sends a request with the token and returns its answer, null if it was refused; one request after the other.
+   `refused` is called with the problem of a refusal; by default a notice shows it. */
+export function send(path, body = {}, refused = null) {
+  const answer = last.then(() => sent(path, body, refused));
   last = answer.catch(() => null);
   return answer;
 }
 
 /* Sends a request whose answer is the whole state. */
-export async function change(path, body) {
-  const document = await send(path, body);
+export async function change(path, body, refused = null) {
+  const document = await send(path, body, refused);
   if (document) take(document);
   return document !== null;
 }
 
 export const settled = () => last;
 
-async function sent(path, body) {
+async function sent(path, body, refused) {
   if (!token() && !(await askToken(say("setup.token_why")))) return null;
   try {
     const answer = await ask(`/api/setup/${path}`, body);
@@ -47,9 +49,10 @@ async function sent(path, body) {
     return answer;
   } catch (error) {
     if (error instanceof Refused && [401, 403].includes(error.problem.status)) {
-      if (await askToken(say("setup.token_why"))) return sent(path, body);
+      if (await askToken(say("setup.token_why"))) return sent(path, body, refused);
     }
-    showProblem(inWords(error), inProse);
+    if (refused && error instanceof Refused) refused(error.problem);
+    else showProblem(inWords(error), inProse);
     return null;
   }
 }

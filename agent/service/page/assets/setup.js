@@ -4,10 +4,10 @@ import { byId, make } from "./dom.js";
 import { languageNow, languages, loadWords, onLanguage, say, speak, translate } from "./language.js";
 import { keepToken } from "./requests.js";
 import { connectPanel, drawingPanel, fingerPanel, jogPanel, rest, wrongAxes } from "./setup-checks.js";
-import { fieldOf } from "./setup-fields.js";
+import { fieldOf, placedByHand } from "./setup-fields.js";
 import { reviewPanel } from "./setup-review.js";
 import { load, onState, seen, settled } from "./setup-state.js";
-import { inPageWords, prose } from "./setup-words.js";
+import { inPageWords, prose, sentences } from "./setup-words.js";
 import { openTheme } from "./theme.js";
 
 const left = new Set();
@@ -31,7 +31,7 @@ function show(name) {
   step = name;
   fields = seen.fields.filter((field) => field.step === name).map(fieldOf);
   panels = panelsOf(name);
-  byId("step").replaceChildren(make("h2", { id: "step-title" }, say(`step.${name}`)), make("p", { className: "remark" }, ...prose(say(`about.${name}`))),
+  byId("step").replaceChildren(make("h2", { id: "step-title" }, say(`step.${name}`)), make("p", { className: "remark", id: "about" }),
     ...(name === "machine" ? [make("p", { className: "remark" }, say("setup.directory", { directory: seen.now.directory }))] : []),
     make("div", { id: "general" }), ...(fields.length ? [make("div", { className: "fields" }, ...fields.map(({ element }) => element))] : []),
     ...panels.map(({ element }) => element));
@@ -46,10 +46,11 @@ function update(needed = false) {
 }
 
 function refresh(needed) {
+  byId("about").replaceChildren(...prose(say(step === "mount" && placedByHand() ? "about.by_hand" : `about.${step}`)));
   for (const field of fields) field.update(needed);
   for (const panel of panels) panel.update();
   const general = seen.now.problems[""];
-  byId("general").replaceChildren(...(general ? [make("div", { className: "panel problem" }, make("b", {}, say("setup.general")), make("p", {}, ...prose(inPageWords([general.detail, general.hint].filter(Boolean).join(". ")))))] : []));
+  byId("general").replaceChildren(...(general ? [make("div", { className: "panel problem" }, make("b", {}, say("setup.general")), make("p", {}, ...prose(inPageWords(sentences(general.detail, general.hint)))))] : []));
   byId("steps").replaceChildren(...seen.steps.map((name, i) => {
     const done = finished(name), title = done ? say("setup.step_done", { step: say(`step.${name}`) }) : say(`step.${name}`);
     return make("button", { id: `to-${name}`, "data-number": String(i + 1), "data-done": done ? "true" : null, "aria-current": name === step ? "step" : null,
