@@ -310,6 +310,7 @@ class Rig:
             )
 
     def _ask(self, step: s.AskOperator) -> None:
+        self.last_motion.forget_line()
         if not self.operator.ask(step.request):
             raise Aborted(f"the operator answered no to: {step.request.text}")
 

@@ -118,14 +118,16 @@ def position_minutes(job: Job, position: Position) -> float:
     return plan_minutes(job, _one_more(job, position, here, planner), point(here))
 
 
-def minutes_at_balls(job: Job, position: Position) -> float:
+def minutes_at_balls(job: Job, position: Position, after: Position) -> float:
     """Return the machine minutes from the first touch of `position` to the last: its measurement without the turn of
-    the mount and without the ways to the first ball and from the last."""
-    retreat = job.rules.retreat
-    parked = point(retreat.park_location(job.layout.nominal(position).mean(axis=0), position.station))
-    order = MeasuringOrder(PREFIX, (position,), position.station)
-    _, steps = walk_plan(job, measure_positions(order, job.layout, job.rules), parked)
-    touches = [number for number, timed in enumerate(steps) if isinstance(timed.step, TouchTowards)]
+    the mount and without the ways to the first ball and from the last.
+
+    `after` is a position at the same station that is measured before, so that the place of the mount is known.
+    """
+    order = MeasuringOrder(PREFIX, (after, position), position.station)
+    _, steps = walk_plan(job, measure_positions(order, job.layout, job.rules))
+    own = f"{PREFIX}/{position_key(position)}/"
+    touches = [n for n, one in enumerate(steps) if isinstance(one.step, TouchTowards) and one.step.key.startswith(own)]
     if not touches:
         return 0.0
     return sum(timed.seconds for timed in steps[touches[0] : touches[-1] + 1]) / S_PER_MIN

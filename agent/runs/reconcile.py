@@ -85,7 +85,7 @@ def reconcile(rig: Rig, state_directory: Path, *, of_run: int | None = None, res
     unrepaired = state in (CompensationState.UNPROVED, CompensationState.CHANGED)
     action = ReconcileAction.LEFT if unrepaired else ReconcileAction.NOTHING
     unproved = _unproved(last, unfinished) if state is CompensationState.UNPROVED else None
-    instruction = _instruction(state, last) if unproved is None else unproved.way_out
+    instruction = _instruction(state, last, active) if unproved is None else unproved.way_out
     return Reconciliation(state, action, active, None, unfinished, instruction, unproved)
 
 
@@ -127,12 +127,15 @@ def _unproved(last: LastCompensation, unfinished: UnfinishedRun | None) -> Unpro
     return UnprovedTable(last.run_id, last.staged.number, last.former.number, provable)
 
 
-def _instruction(state: CompensationState, last: LastCompensation) -> str:
+def _instruction(state: CompensationState, last: LastCompensation, active: RecordedBank) -> str:
     if state is not CompensationState.CHANGED:
         return ""
     if last.unproved and last.staged is not None:
         left = UnprovedTable(last.run_id, last.staged.number, last.former.number, provable=False)
-        return f"run {last.run_id} could not reactivate the former compensation: {left.at_the_controller}"
+        return (
+            f"run {last.run_id} ended with a table that was never proved, and neither this table nor the former one is "
+            f"active: find out who activated bank {active.number}, or {left.at_the_controller}"
+        )
     return f"run {last.run_id} left bank {last.expected.number} active: find out who changed it, then calibrate again"
 
 

@@ -3,12 +3,12 @@ of the VCE that are stated at the end contain the true one.
 
 The machines have more errors than the model describes (`twin.uncertainty.random_machines`). Each is calibrated
 sequentially, as a run does it: the next position is chosen from its own simulated measurements, and the measurement
-ends when the upper 95 % limit of the predicted VCE is below a target, or when the time of the position set of the case
-is over. A rule that ends at a lucky moment would state too small an error; the observed coverage shows it.
+ends when the upper 95 % limit of the predicted VCE is below a target, or when the time of the position set of the
+study is over, but not before 20 minutes. A rule that ends at a lucky moment would state too small an error; the observed coverage shows it.
 
 On some of the machines, three ways to choose the positions are compared in machine time: the first positions of the set
-of the case, sets that are designed for several lengths of the slot, and the sequential choice. Beside them stands a
-lower bound of the expected VCE that no set of positions can pass (`twin.design.relaxed_design`).
+of the study, sets that are designed for several lengths of the slot, and the sequential choice. Beside them stands a
+lower bound of the expected VCE of all sets of the designs' candidates (`twin.design.relaxed_design`).
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import numpy as np
 from agent.planning.cycle_time import machine_minutes, minutes_at_balls, set_alone
 from agent.planning.design.design_problem import DesignProblem
 from agent.planning.design.design_result import DesignResult, find_design
+from agent.planning.design.feasibility import line_over_balls, timed_among
 from agent.planning.design.sequential_candidates import (
     LEAST_CARRY_MIN,
     MIN_POSITIONS,
@@ -34,6 +35,7 @@ from agent.planning.job import Job
 from agent.studies.sequential_figure import VceCurve, draw
 from agent.studies.study import StudyCase, StudyResult
 from agent.studies.workers import generator
+from drivers.errors import InputError
 from twin.arrays import Array
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
@@ -61,12 +63,13 @@ TARGET_COUNTS = (8, 14)
 
 _LIMIT_OVER_EXPECTED = 1.5  # upper 95 % limit over expected VCE of a usual machine
 _GRID = (16, 8, 8)
-_CURVES_EVERY = 2  # every second machine is measured in all three ways
-_CURVE_STEP = 3
+# two of five machines are measured in all three ways; five and the number of forms have no common divisor
+_CURVES_OF, _CURVES_EVERY = 2, 5
+_CURVE_STEP, _SET_STEP = 3, 8
 _SLOT_SHARES = (0.3, 0.45, 0.6, 0.8, 1.0)  # slots of the designs, as shares of the longest
 _LONGEST_MIN = 20.0  # machine time in min up to which the three ways are compared
 _DESIGN_GRID_DEG = 15.0
-_TIMED = 40  # candidates whose shortest time is computed; that of the others follows from their balls
+_UNDERCUT = 0.95  # share of the shortest time on the line over the balls that no candidate undercuts
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +130,7 @@ class SequentialStudyTask:
         rng = generator(self.seed, number)
         machine = draw_random_machine(self.job.machine, self.job.tool_offset_mm, form, rng)
         seen = machine.measure(self.planned, self.job.artefact, rng)
-        with_curves = number % _CURVES_EVERY == 0
+        with_curves = number % _CURVES_EVERY < _CURVES_OF
         path, stops = self._sequential(machine, seen, whole=with_curves)
         return [*stops, *self._curves(machine, seen, path)] if with_curves else stops
 
@@ -208,7 +211,9 @@ def run(case: StudyCase) -> StudyResult:
     """Calibrate `case.machines` random machines with alternating forms of deflection, and compare what each calibration
     states at its end with the truth."""
     candidates = SequentialCandidates(case.job)
-    designs = _designed_sets(case)
+    jobs = {case.job.settings.tool: case.job}
+    problems = [DesignProblem(jobs, _DESIGN_GRID_DEG, set_alone, share) for share in BALL_SHARES]
+    designs = _designed_sets(case, problems)
     task = _task(case, candidates, designs)
     machines = [(number, DEFLECTION_FORMS[number % len(DEFLECTION_FORMS)]) for number in range(case.machines)]
     found = case.map(task, machines)
@@ -219,7 +224,7 @@ def run(case: StudyCase) -> StudyResult:
     curves = tuple(_curve(name, [one for one in every if one.ending == name]) for name in (NAMED, DESIGNED, SEQUENTIAL))
     named = case.position_set or NAMED
     curves = tuple(replace(curve, name=named) if curve.name == NAMED else curve for curve in curves)
-    bounds = _bounds(case, [one.minutes for one in designs])
+    bounds = _bounds(case, problems, [one.minutes for one in designs])
     expected = [(one.minutes, UM_PER_MM * one.valuation.after.aligned_mm) for one in designs]
     return StudyResult(
         name=NAME,
@@ -284,7 +289,7 @@ class _ListedSet:
 
     def prefixes(self, first: int) -> tuple[TimedSet, ...]:
         """Return the set and some of its beginnings. `first` is the index of its first position."""
-        counts = [*range(MIN_POSITIONS, len(self.positions), _CURVE_STEP), len(self.positions)]
+        counts = [*range(_SET_STEP, len(self.positions), _SET_STEP), len(self.positions)]
         return tuple(TimedSet(tuple(range(first, first + count)), self.minutes[count - 1]) for count in counts)
 
 
@@ -298,29 +303,31 @@ def _listed_set(case: StudyCase) -> _ListedSet:
     return _ListedSet(listed, tuple(ends.tolist()))
 
 
-def _designed_sets(case: StudyCase) -> list[DesignResult]:
-    """Return the best set for each slot, of those with all balls and with a share of them."""
-    problems = _problems(case)
+def _designed_sets(case: StudyCase, problems: Sequence[DesignProblem]) -> list[DesignResult]:
+    """Return the best set for each slot, of those with all balls and with a share of them. Slots that are too short for
+    two positions are left out. Raises InputError if all of them are."""
     case.progress("designs", 0, len(_SLOT_SHARES))
-    designs = list[DesignResult]()
+    designs, too_short = list[DesignResult](), InputError("no slot")
     for number, share in enumerate(_SLOT_SHARES, start=1):
-        goal = TimeSlotGoal(share * _LONGEST_MIN)
-        found = [find_design(one, goal, verify=False, prove=None, say=lambda _: None) for one in problems]
-        designs.append(min(found, key=lambda one: one.valuation.after.aligned_mm))
+        goal, found = TimeSlotGoal(share * _LONGEST_MIN), list[DesignResult]()
+        for problem in problems:
+            try:
+                found.append(find_design(problem, goal, verify=False, prove=None, say=lambda _: None))
+            except InputError as error:
+                too_short = error
+        if found:
+            designs.append(min(found, key=lambda one: one.valuation.after.aligned_mm))
         case.progress("designs", number, len(_SLOT_SHARES))
+    if not designs:
+        raise too_short
     return designs
 
 
-def _problems(case: StudyCase) -> list[DesignProblem]:
-    jobs = {case.job.settings.tool: case.job}
-    return [DesignProblem(jobs, _DESIGN_GRID_DEG, set_alone, share) for share in BALL_SHARES]
-
-
-def _bounds(case: StudyCase, minutes: Sequence[float]) -> list[InformationBound]:
+def _bounds(case: StudyCase, problems: Sequence[DesignProblem], minutes: Sequence[float]) -> list[InformationBound]:
     """Return the lower bound of the expected VCE for each of these machine times. The candidates are those of the
     designs, with all balls and with a share of them."""
     case.progress("information bound", 0, len(minutes))
-    candidates = joined_candidates([problem.candidates for problem in _problems(case)])
+    candidates = joined_candidates([problem.candidates for problem in problems])
     times = _shortest_minutes(case.job, candidates)
     bounds = list[InformationBound]()
     for number, one in enumerate(minutes, start=1):
@@ -333,14 +340,19 @@ def _shortest_minutes(job: Job, candidates: CandidatePositions) -> Array:
     """Return a time (N,) in min that the measurement of each candidate takes at least: without the turn of the mount
     and the way to its first ball.
 
-    It is computed for `_TIMED` candidates. The times of the others lie on the straight line over the number of balls
-    below which none of the computed ones lies.
+    It is computed for some candidates; those of the others lie a little below the straight line over the number of
+    balls below which none of the computed ones lies.
     """
-    timed = np.unique(np.linspace(0, candidates.count - 1, min(_TIMED, candidates.count)).round().astype(int))
-    exact = np.array([minutes_at_balls(job, candidates.positions[index]) for index in timed])
-    line = np.stack((np.ones(candidates.count), candidates.balls), axis=1)
-    slope = np.linalg.lstsq(line[timed], exact, rcond=None)[0]
-    return np.asarray(np.maximum(line @ slope + (exact - line[timed] @ slope).min(), exact.min()))
+    positions, timed = candidates.positions, timed_among(candidates.count)
+    before = [
+        next((one for one in positions if one.station == positions[index].station and one != positions[index]), None)
+        for index in timed
+    ]
+    known = [(index, one) for index, one in zip(timed.tolist(), before, strict=True) if one is not None]
+    indices = np.array([index for index, _ in known], dtype=np.intp)
+    exact = np.array([minutes_at_balls(job, positions[index], one) for index, one in known])
+    line = line_over_balls(candidates.balls, indices, exact)
+    return np.asarray(_UNDERCUT * np.maximum(line + (exact - line[indices]).min(), exact.min()))
 
 
 def _seconds(candidates: SequentialCandidates) -> Array:
@@ -413,8 +425,10 @@ def _summary(stated: Sequence[StatedVce]) -> Mapping[str, object]:
 
 
 def _curve(name: str, stated: Sequence[StatedVce]) -> VceCurve:
+    """Return the curve through the points that all machines have reached."""
     points = sorted({one.point for one in stated})
-    of = [[one for one in stated if one.point == point] for point in points]
+    every = [[one for one in stated if one.point == point] for point in points]
+    of = [group for group in every if len(group) == len(every[0])]
     return VceCurve(
         name,
         tuple(round(float(np.mean([one.positions for one in group]))) for group in of),

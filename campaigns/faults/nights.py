@@ -165,7 +165,8 @@ def play_nights(faults: Sequence[PlannedFault], world_seed: int, *, forked: bool
     world = build_world(world_seed, BANKS_OF_REGISTER_MAP) if proxied else build_world(world_seed)
     with _scene(world) as (scene, directory), behind_proxy(scene) if proxied else nullcontext():
         injector = FaultInjector(scene, faults, duration_s, forked)
-        if forked:
+        if forked:  # what is alive stays on pages that the copies share
+            gc.collect()
             gc.freeze()
         try:
             ended, defect = _carry_out(injector, directory)
@@ -180,6 +181,8 @@ def play_nights(faults: Sequence[PlannedFault], world_seed: int, *, forked: bool
             raise
         if injector.begun is not None:
             return [record(injector.begun)]
+        if forked:
+            gc.unfreeze()
         missed = {one.night for one in faults} - {one.night for one in injector.records}
         return [*injector.records, *(record(one, reached=False) for one in faults if one.night in missed)]
 

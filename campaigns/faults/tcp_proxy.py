@@ -31,6 +31,7 @@ class ModbusProxy:
         self._listener = socket.create_server(("127.0.0.1", 0))
         self._sockets: set[socket.socket] = set()
         self._guard = threading.Lock()
+        self._forwarding = list[threading.Thread]()
         self._closed = False
         self._stuck = threading.Event()
         self.refusing = False
@@ -67,6 +68,8 @@ class ModbusProxy:
         self._listener.close()
         self.cut()
         self._accepting.join()
+        for forwarding in self._forwarding:
+            forwarding.join()
 
     def _accept(self) -> None:
         while True:
@@ -77,12 +80,18 @@ class ModbusProxy:
             if self.refusing:
                 client.close()
                 continue
-            server = socket.create_connection(self._server_address)
+            try:
+                server = socket.create_connection(self._server_address)
+            except OSError:
+                client.close()
+                continue
             with self._guard:
                 self._sockets |= {client, server}
             for source, target, upwards in ((client, server, True), (server, client, False)):
                 source.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                threading.Thread(target=self._forward, args=(source, target, upwards), daemon=True).start()
+                forwarding = threading.Thread(target=self._forward, args=(source, target, upwards), daemon=True)
+                self._forwarding.append(forwarding)
+                forwarding.start()
             if self._closed:
                 self.cut()
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from numpy.random import Generator
 
-from campaigns.faults.controller_faults import duration_s
+from campaigns.faults.controller_faults import COMMANDS, duration_s
 from campaigns.faults.fault_scene import FaultScene
 from campaigns.faults.faulty_device import DEVICE
 from drivers.errors import LinkError, LinkLost, LinkTimeout, ProtocolError
@@ -64,14 +64,13 @@ def lost_call(scene: FaultScene, rng: Generator) -> None:
 def lost_answer(scene: FaultScene, rng: Generator) -> None:
     """Let the answer to the next command be lost after the command has had its effect."""
     error = _drawn_error(rng)
-    commands = ("move_to", "touch_towards", "orient_to", "stage", "activate")
 
     def lose(real: Any, *values: Any, **named: Any) -> Any:
         scene.machine.repair()
         real(*values, **named)
         raise _same(error)
 
-    scene.machine.altered |= dict.fromkeys(commands, lose)
+    scene.machine.altered |= dict.fromkeys(COMMANDS, lose)
 
 
 def _same(error: LinkError) -> LinkError:

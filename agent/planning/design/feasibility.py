@@ -43,6 +43,19 @@ _BALL = re.compile(r"/ball-(\d+)")
 _Key = tuple[float, float, float, Point, bytes, int]
 
 
+def timed_among(count: int) -> Indices:
+    """Return the indices of those of `count` positions whose minutes are computed, while those of the others follow
+    from them."""
+    return np.unique(np.linspace(0, count - 1, min(_TIMED, count)).round().astype(np.intp))
+
+
+def line_over_balls(balls: Indices, timed: Indices, minutes: Array) -> Array:
+    """Return the straight line (N,) over the numbers of measured balls `balls` (N,) that fits best to the `minutes`
+    (k,) of the positions with the indices `timed` (k,)."""
+    line = np.stack((np.ones(len(balls)), balls), axis=1)
+    return np.asarray(line @ np.linalg.lstsq(line[timed], minutes, rcond=None)[0])
+
+
 @dataclass(frozen=True, eq=False)
 class FeasibilityCheck:
     """Check whether the positions of a job can be measured without a collision, and how long each takes.
@@ -73,11 +86,10 @@ class FeasibilityCheck:
         number of measured balls of each position.
         """
         turns = np.array([self._turn_minutes(position) for position in positions])
-        timed = np.unique(np.linspace(0, len(positions) - 1, min(_TIMED, len(positions))).round().astype(int))
+        timed = timed_among(len(positions))
         exact = np.array([self.minutes(positions[index]) for index in timed])
-        line = np.stack((np.ones(len(positions)), balls), axis=1)
-        slope = np.linalg.lstsq(line[timed], exact - turns[timed], rcond=None)[0]
-        minutes = np.maximum(line @ slope, (exact - turns[timed]).min()) + turns
+        own = exact - turns[timed]
+        minutes = np.maximum(line_over_balls(balls, timed, own), own.min()) + turns
         minutes[timed] = exact
         return np.asarray(minutes)
 
