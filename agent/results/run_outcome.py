@@ -149,7 +149,7 @@ class NightReport:
     `drift` is the drift of one error in one direction that a fused night and those before show; None if there is none.
 
     `finds` is the smallest step of a squareness that a verification finds with 95 %, of the squareness that it finds
-    worst; None for a night.
+    worst; None if no squareness can change, and for a night that did not only verify.
     """
 
     decision: Decision

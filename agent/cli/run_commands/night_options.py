@@ -74,7 +74,7 @@ def night_table(outcome: Outcome, night: NightReport) -> Table:
         ("VE then, now, with a new table", " → ".join(_um(ve) for ve in errors)),
         ("held-out positions", f"{_um(night.held_out_um)}, expected {_um(night.held_out_predicted_um)}"),
         ("against the prediction", "?" if night.chi2_normalised is None else f"χ² {night.chi2_normalised:.2f}"),
-        *([("finds any squareness step of", f"{night.finds.text}, 95 %")] if night.finds is not None else []),
+        *([("finds with 95 % a squareness step of", night.finds.text)] if night.finds is not None else []),
         ("changed at once", "; ".join(one.text for one in night.jumped) or "nothing"),
         *([("if one error changed", possible_text(night.alternatives))] if night.alternatives else []),
         *([("drift in one direction", night.drift.text)] if night.drift is not None else []),

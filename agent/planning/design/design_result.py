@@ -267,13 +267,13 @@ def compare_variants(
     the goal, the error raised for the first variant is raised.
     """
     choices: list[VariantDesign] = []
-    errors: list[UserError] = []
+    errors: dict[Variant, UserError] = {}
 
     def designed(variant: Variant, design: Callable[[], DesignResult]) -> VariantDesign:
         try:
             return VariantDesign(variant, design())
         except UserError as error:
-            errors.append(error)
+            errors[variant] = error
             return VariantDesign(variant, None, error.message)
 
     for variant in variants:
@@ -282,7 +282,7 @@ def compare_variants(
     while True:  # only the best is proved: a preflight takes as long as a search
         reached = [number for number, choice in enumerate(choices) if choice.design is not None]
         if not reached:
-            raise errors[0]
+            raise errors[variants[0]]
         best = min(reached, key=lambda number: _rank(choices[number].result, goal))
         found = choices[best].result
         if choices[best].variant.made_up or found.preflight_passed:

@@ -70,8 +70,7 @@ class SequentialCandidates:
         job, held_out = self.job, {position_key(position) for position in self.job.held_out}
         stations = job.settings.procedure.stations or sorted(job.layout.locations_mm)
         grid = (Position(station, *angles) for station in stations for angles in orientation_grid(self.grid_deg))
-        by_key = {position_key(one): one for one in (*grid, *job.positions)}
-        offered = [one for key, one in by_key.items() if key not in held_out]
+        offered = [one for one in (*grid, *job.positions) if position_key(one) not in held_out]
         with translated(ConfigurationError, key="stations.places_mm"):
             field, options = self._field, planning_options(job.settings.temperature)
             every = build_candidates(job.procedure, offered, job.machine.family, options, field, job.tool_offset_mm)

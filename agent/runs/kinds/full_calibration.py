@@ -58,16 +58,10 @@ class PendingCalibration:
 
     def _verification(self, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
         slot, pending = self.slot, self.pending
-        chooser = PositionChooser(self.here, self.station)
-        choice = VerificationChooser.of(chooser, self.judge.prior).choice()
-        own = choice.plan.job(self.here)
-
-        def procedure() -> RunPlan:
-            return with_table_of(
-                self.judge.reference, lambda found: _verified_only(own, choice, self.judge, pending, found)
-            )
-
-        planned = plan_run(own, self.kind, start, procedure, watch)
+        chooser = VerificationChooser.of(PositionChooser(self.here, self.station), self.judge.prior)
+        planned = self._verified(chooser.choice(), start, watch)
+        if not slot.holds(planned.preflight.machine_minutes):  # fewer positions are better than none
+            planned = self._verified(chooser.usual(), start, watch)
         if not slot.holds(planned.preflight.machine_minutes):
             raise PlanRefused(
                 f"the verification takes {planned.preflight.machine_minutes:.1f} min, "
@@ -75,6 +69,16 @@ class PendingCalibration:
                 hint=f"a full calibration is needed since run {pending.run_id}: give a slot for it",
             )
         return planned
+
+    def _verified(self, choice: VerificationChoice, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
+        own, judge = choice.plan.job(self.here), self.judge
+
+        def procedure() -> RunPlan:
+            return with_table_of(
+                judge.reference, lambda found: _verified_only(own, choice, judge, self.pending, found)
+            )
+
+        return plan_run(own, self.kind, start, procedure, watch)
 
 
 def pending_calibration(asked: PendingCalibration, store: StoreLimits) -> RunPlan:

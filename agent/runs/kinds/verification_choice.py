@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from agent.runs.kinds.position_choice import PositionChooser
 from twin.arrays import Array
 from twin.artefact.position_set import Position
 from twin.identification import CarriedOverPrior
+from twin.identification.jump import coefficients_of
 from twin.machine.error_model import SQUARENESS, ErrorModel
 from twin.machine.forward_model import deviation_basis
 from twin.machine.volumetric import evaluation_grid
@@ -44,9 +46,10 @@ class VerificationChoice:
         return NightPlan(self.station, (), self.positions)
 
     @property
-    def worst_squareness(self) -> SmallestStep:
-        """Step of the squareness that is found worst."""
-        return largest_of([step for step in self.steps if step.error in SQUARENESS])
+    def worst_squareness(self) -> SmallestStep | None:
+        """Step of the squareness that is found worst; None if no squareness of the machine can change."""
+        found = [step for step in self.steps if step.error in SQUARENESS]
+        return largest_of(found) if found else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +64,8 @@ class VerificationChooser:
     prior: CarriedOverPrior
     false_alarm: float
     _powers: dict[tuple[Position, ...], StepPower] = field(default_factory=dict, init=False, repr=False)
+    _evidences: dict[tuple[Position, ...], float] = field(default_factory=dict, init=False, repr=False)
+    _ranked: dict[tuple[tuple[str, ...], float], tuple[Position, ...]] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
     def of(cls, chooser: PositionChooser, prior: CarriedOverPrior) -> VerificationChooser:
@@ -69,33 +74,42 @@ class VerificationChooser:
 
     def choice(self) -> VerificationChoice:
         """Return the positions that `volcal verify` measures: the fewest that find the step stated in the settings of
-        any squareness. If all positions at the station do not find it, they are as many as the settings state for the
-        beginning of a night."""
+        any squareness. If all positions at the station do not find it, or if no squareness can change, they are as many
+        as the settings state for the beginning of a night."""
+        fewest = self.fewest(SQUARENESS, self.chooser.job.settings.nightly.verify_step_urad)
+        return self.usual() if fewest is None else fewest
+
+    def usual(self) -> VerificationChoice:
+        """Return as many positions as the settings state for the beginning of a night, those that find a step of a
+        squareness fastest or, if no squareness can change, a jump of any error."""
         chosen = self.chooser.job.settings.nightly
-        ranked = self.ranked(SQUARENESS, chosen.verify_step_urad)
-        fewest = self.fewest(SQUARENESS, chosen.verify_step_urad)
-        usual = chosen.held_out_positions + chosen.check_positions
-        return self.found(ranked[:usual]) if fewest is None else fewest
+        count = chosen.held_out_positions + chosen.check_positions
+        ranked = self.ranked(SQUARENESS, chosen.verify_step_urad) or self.chooser.detecting_jumps(self.prior, count, ())
+        return self.found(ranked[:count])
 
     def fewest(self, errors: Sequence[str], size: float) -> VerificationChoice | None:
         """Return the fewest positions that find a step of `size` in µm or µrad of each of `errors`, chosen one by one
-        by power per minute; None if all positions at the station do not find it."""
-        sought, ranked = self._with_effect(errors), self.ranked(errors, size)
+        by power per minute; None if all positions at the station do not find it, or if none of the errors can
+        change."""
+        sought, ranked = self._sought(errors), self.ranked(errors, size)
         for count in range(1, len(ranked) + 1):
-            power = self.power(ranked[:count])
-            evidence = power.evidence_for(self.false_alarm)
-            if all(power.power(error, size, evidence) >= POWER for error in sought):
+            evidence = self.evidence(ranked[:count])
+            if all(self.power(ranked[:count]).power(error, size, evidence) >= POWER for error in sought):
                 return self.found(ranked[:count])
         return None
 
     def ranked(self, errors: Sequence[str], size: float) -> tuple[Position, ...]:
         """Return the positions at the station in the order in which they find a step of `size` in µm or µrad of each of
         `errors` fastest."""
-        return self.chooser.finding_steps(self.prior, dict.fromkeys(self._with_effect(errors), size))
+        asked = self._sought(errors), size
+        if asked not in self._ranked:
+            steps = dict.fromkeys(*asked)
+            self._ranked[asked] = self.chooser.finding_steps(self.prior, steps) if steps else ()
+        return self._ranked[asked]
 
     def found(self, positions: tuple[Position, ...]) -> VerificationChoice:
         """Return what a verification finds that measures `positions`."""
-        evidence = self.power(positions).evidence_for(self.false_alarm)
+        evidence = self.evidence(positions)
         return VerificationChoice(self.chooser.station, positions, evidence, self.steps(positions, evidence))
 
     def steps(self, positions: tuple[Position, ...], evidence: float) -> tuple[SmallestStep, ...]:
@@ -108,13 +122,21 @@ class VerificationChooser:
             self._powers[positions] = self.chooser.step_power(self.prior, positions)
         return self._powers[positions]
 
-    @property
+    def evidence(self, positions: tuple[Position, ...]) -> float:
+        """Return the limit of the evidence with which `positions` raise no more false alarms than allowed."""
+        if positions not in self._evidences:
+            self._evidences[positions] = self.power(positions).evidence_for(self.false_alarm)
+        return self._evidences[positions]
+
+    @cached_property
     def no_effect(self) -> tuple[str, ...]:
         """Errors that move the tool nowhere; a verification cannot find them."""
         return errors_without_effect(self.prior.unknowns.model, self.chooser.job.tool_offset_mm)
 
-    def _with_effect(self, errors: Sequence[str]) -> list[str]:
-        return [error for error in errors if error not in self.no_effect]
+    def _sought(self, errors: Sequence[str]) -> tuple[str, ...]:
+        """Return those of `errors` that can change and that move the tool."""
+        unknowns = self.prior.unknowns
+        return tuple(e for e in errors if e not in self.no_effect and coefficients_of(unknowns, e).size)
 
 
 def errors_without_effect(model: ErrorModel, tool_offset_mm: Array) -> tuple[str, ...]:

@@ -1,0 +1,58 @@
+"""Choice of the positions of a verification: the fewest, as many as usual if none are enough, on machines without a
+squareness too."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+from study_case import shipped_job
+
+from agent.runs.kinds.position_choice import PositionChooser
+from agent.runs.kinds.verification_choice import VerificationChooser
+from twin.identification import CarriedOverPrior
+from twin.identification.scales import Scales
+from twin.identification.unknowns import Unknowns
+from twin.machine.error_model import SQUARENESS
+from twin.monitoring.step_power import POWER
+
+
+@cache
+def chooser(step_urad: float = 10.0, *, square: bool = False) -> VerificationChooser:
+    """Choice on the shipped machine after its planned calibration; if `square` is True, no squareness can change."""
+    job = shipped_job(2)
+    nightly = job.settings.nightly.model_copy(update={"verify_step_urad": step_urad})
+    job = replace(job, settings=job.settings.model_copy(update={"nightly": nightly}))
+    seen = job.step_visibility
+    unknowns: Unknowns = seen.unknowns
+    if square:
+        own = [one.error in SQUARENESS for one in unknowns.model.parameters]
+        unknowns = replace(unknowns, scale=np.where(own, 0.0, unknowns.scale))
+    prior = CarriedOverPrior(unknowns, np.zeros(len(seen.covariance)), seen.covariance, Scales())
+    return VerificationChooser.of(PositionChooser(job, 1), prior)
+
+
+def test_the_fewest_positions_find_the_step_and_one_position_less_does_not() -> None:
+    of = chooser()
+    choice = of.choice()
+    fewer = of.found(choice.positions[:-1])
+    worst = choice.worst_squareness
+    assert worst is not None
+    assert worst.size is not None
+    assert worst.size <= 10.0
+    assert any(step.size is None or step.size > 10.0 for step in fewer.steps if step.error in SQUARENESS)
+    assert all(of.power(choice.positions).power(e, 10.0, choice.evidence) >= POWER for e in SQUARENESS)
+
+
+def test_a_step_that_no_position_finds_takes_as_many_positions_as_a_night() -> None:
+    of = chooser(1e-3)
+    assert of.fewest(SQUARENESS, 1e-3) is None
+    assert len(of.choice().positions) == 3
+
+
+def test_a_machine_whose_squareness_cannot_change_is_verified_all_the_same() -> None:
+    choice = chooser(square=True).choice()
+    assert len(choice.positions) == 3
+    assert choice.worst_squareness is None
+    assert {step.error for step in choice.steps}.isdisjoint(SQUARENESS)
