@@ -3,7 +3,7 @@ import { askToken } from "./dialogs.js";
 import { addWords, known, say } from "./language.js";
 import { hide, showProblem } from "./notices.js";
 import { ask, read, Refused, token } from "./requests.js";
-import { inPageWords, prose } from "./setup-words.js";
+import { inPageWords, prose, sentences } from "./setup-words.js";
 
 /* `refusal` is the problem for which the review of the present statements was refused. */
 export const seen = { now: null, fields: [], steps: [], finished: false, refusal: null };
@@ -65,7 +65,7 @@ const inProse = (text) => prose(inPageWords(text));
 /* The error with the words of its alarm, which are in both languages, before those of the service. */
 function inWords(error) {
   const { code, detail, hint } = error.problem ?? {};
-  if (known(`alarm.${code}`)) error.problem = { ...error.problem, detail: say(`alarm.${code}`), hint: [detail, hint].filter(Boolean).join(". ") };
+  if (known(`alarm.${code}`)) error.problem = { ...error.problem, detail: say(`alarm.${code}`), hint: sentences(detail, hint) };
   return error;
 }
 
