@@ -157,10 +157,16 @@ def prepare_files(answers: SetupAnswers, scratch: Path) -> NewFiles:
     raise InputError(
         f"no artefact that is proposed fits a travel of {_travel_text(setup.machine.travel_mm)}, not even a straight "
         f"bar of {SIZES_MM[STRAIGHT_BAR][0]} mm with three balls: {failed.message}",
-        hint="correct the travel or what is stated of the mount"
-        + ("" if least is None else f"; one of {_travel_text(least)} would do"),
+        hint=f"correct the travel or what is stated of the {'places' if hand_places else 'mount'}"
+        + ("" if least is None else f"; one of {_travel_text(least)} would do{_without_stated_places(answers)}"),
         option=TRAVEL.flag,
     ) from failed
+
+
+def _without_stated_places(answers: SetupAnswers) -> str:
+    """Return the part of the hint that names the stated options to be omitted, empty if there are none."""
+    flags = answers.stated_place_flags()
+    return f", and without what is stated of the places ({', '.join(flags)})" if flags else ""
 
 
 def _travel_text(travel_mm: Triple) -> str:

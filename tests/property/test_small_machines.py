@@ -63,9 +63,14 @@ def proposed(refused: InputError, options: Options) -> Options | None:
 
 
 def with_travel_that_would_do(refused: InputError, options: Options) -> Options | None:
-    """Return the options with the travel that the error names, None if it names none."""
+    """Return the options with the travel that the error names, and without those that it says are to be omitted; None
+    if it names no travel."""
     found = re.search(r"one of (\S+) × (\S+) × (\S+) mm would do", refused.hint)
-    return None if found is None else {**options, "travel": found.groups()}
+    if found is None:
+        return None
+    omitted = re.search(r"without what is stated of the places \((.*?)\)", refused.hint)
+    dropped = {flag.removeprefix("--").replace("-", "_") for flag in omitted[1].split(", ")} if omitted else set()
+    return {name: value for name, value in options.items() if name not in dropped} | {"travel": found.groups()}
 
 
 def router(*travel: str, **stated: str) -> Options:

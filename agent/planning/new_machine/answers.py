@@ -123,12 +123,16 @@ class SetupAnswers(Answers):
 
     def on_travel(self, setup: NewSetup, travel_mm: Triple) -> NewSetup:
         """Return the set-up with its artefact on a machine whose axes are `travel_mm` long, with the same lower ends.
-        Everything about the places is proposed."""
+        Everything about the places is proposed, also what is stated of them (`stated_place_flags`)."""
         ends = zip(setup.machine.limits_mm, travel_mm, strict=True)
         x, y, z = ((low, low + length) for (low, _), length in ends)
         machine = replace(setup.machine, limits_mm=(x, y, z))
         stations = self._stations(machine, setup.artefact, as_stated=False)
         return replace(setup, machine=machine, stations=stations)
+
+    def stated_place_flags(self) -> list[str]:
+        """Return the stated options about the places of an artefact that is placed by hand."""
+        return [one.flag for one in (fields.TABLE_Z, fields.MOUNT_AT, fields.STATIONS) if self.states(one)]
 
     def _reported_limits(self, controller: ControllerSetup) -> AxisLimits | None:
         """Return the travel and dynamics that the controller reports, None if there is no controller to be asked.

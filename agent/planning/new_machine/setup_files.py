@@ -9,7 +9,7 @@ from agent.model_files import load_artefact
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job, prepare_layout, reached_balls
 from agent.planning.new_machine.artefact_text import artefact_text
-from agent.planning.new_machine.fields import MOUNT_AT
+from agent.planning.new_machine.fields import MOUNT_AT, TABLE_Z
 from agent.planning.new_machine.hand_placement import hand_positions, room_above_mm
 from agent.planning.new_machine.machine_setup import STATED
 from agent.planning.new_machine.machine_text import machine_text
@@ -66,11 +66,15 @@ def _placed_by_hand(setup: NewSetup, directory: Path) -> tuple[Mapping[str, str]
     artefact = load_artefact(directory / ARTEFACT_FILE)
     room_mm = room_above_mm(setup.machine, setup.stations, artefact)
     if room_mm < 0.0:
+        if setup.stations.origins["places_mm"] == STATED:
+            where, other = f"at the place ({_first_place_text(setup)})", f"place ({MOUNT_AT.flag})"
+        else:
+            where = f"on a table at Z = {setup.stations.table_z_mm:g} mm"
+            other = f"height of the table ({TABLE_Z.flag})"
         raise ConfigurationError(
-            f"the artefact is {-room_mm:.0f} mm too high to be touched from above on a table at "
-            f"Z = {setup.stations.table_z_mm:g} mm",
+            f"the artefact is {-room_mm:.0f} mm too high to be touched from above {where}",
             key="stations.places_mm",
-            hint="state a smaller artefact or another height of the table (--table-z)",
+            hint=f"state a smaller artefact or another {other}",
         )
     layout = prepare_layout(load_settings(directory / SETTINGS_FILE))
     positions = tuple(
@@ -96,14 +100,17 @@ def _refuse_stated_place(setup: NewSetup, job: Job, positions: Sequence[Position
     if not here or setup.stations.origins["places_mm"] != STATED:
         return
     if all(reached_balls(job, position) < MIN_BALLS for position in here):
-        place = ", ".join(f"{value:g}" for value in setup.stations.places_mm[0])
         axis = AXES.index(station_axis(setup.machine))
         low, high = setup.machine.stylus_range(axis)
         raise InputError(
-            f"no position has three balls within the travel if the mount stands at ({place})",
+            f"no position has three balls within the travel if the mount stands at ({_first_place_text(setup)})",
             hint=f"the stylus centre reaches {AXES[axis]} from {low:g} to {high:g} mm in the workpiece frame",
             option=MOUNT_AT.flag,
         )
+
+
+def _first_place_text(setup: NewSetup) -> str:
+    return ", ".join(f"{value:g}" for value in setup.stations.places_mm[0])
 
 
 def _texts(setup: NewSetup, position_set: str) -> dict[str, str]:

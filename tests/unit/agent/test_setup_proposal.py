@@ -34,7 +34,7 @@ from agent.planning.new_machine.station_setup import positions_of, propose_mount
 from agent.runs.kinds.calibrate import preflight_of
 from agent.settings.load import load_settings
 from agent.settings.simulator_command import SCENARIO_FILE
-from drivers.errors import InputError
+from drivers.errors import ConfigurationError, InputError
 from simulators.scenario import read_scenario
 from twin.artefact.position_set import MIN_BALLS
 from twin.errors import DataError
@@ -266,3 +266,21 @@ def test_what_cannot_be_placed_by_hand_is_refused(
     with pytest.raises(InputError, match=words) as refused:
         SetupAnswers(options, ProposalsOnly(), tmp_path / "mine").collect()
     assert refused.value.where["option"] == option
+
+
+@pytest.mark.parametrize(
+    ("stated", "said", "option"),
+    [
+        ({"mount_at": "150 90 -10"}, r"from above at the place \(150, 90, -10\)", "--mount-at"),
+        ({"table_z": "-60"}, "from above on a table at Z = -60 mm", "--table-z"),
+    ],
+)
+def test_an_artefact_too_high_at_what_is_stated_is_refused_by_the_stated_option(
+    tmp_path: Path, stated: dict[str, str], said: str, option: str
+) -> None:
+    options = {"machine_class": "router", "travel": "300 180 80", "placement": "by-hand", **stated}
+    answers = SetupAnswers(options, ProposalsOnly(), tmp_path / "mine")
+    with pytest.raises(ConfigurationError, match=said) as refused:
+        checked_files(answers.collect(), tmp_path)
+    assert f"({option})" in refused.value.hint
+    assert answers.stated_place_flags() == [option]

@@ -3,7 +3,7 @@ import { askToken } from "./dialogs.js";
 import { addWords, known, say } from "./language.js";
 import { hide, showProblem } from "./notices.js";
 import { ask, read, Refused, token } from "./requests.js";
-import { inPageWords, prose } from "./setup-words.js";
+import { inPageWords, prose, sentences } from "./setup-words.js";
 
 /* `refusal` is the problem for which the review of the present statements was refused. */
 export const seen = { now: null, fields: [], steps: [], finished: false, refusal: null };
@@ -24,8 +24,11 @@ function take(document) {
   for (const listener of listeners) listener();
 }
 
+/* Statuses of a refusal that is not about the statements: without a valid token, or not allowed in this state. */
+const NOT_ABOUT_STATEMENTS = [401, 403, 409];
+
 /* Sends a request with the token and returns its answer, null if it was refused; one request after the other.
-   `refused` is called with the problem of a refusal; by default a notice shows it. */
+   `refused` is called with the problem of a refusal of the statements; by default a notice shows it. */
 export function send(path, body = {}, refused = null) {
   const answer = last.then(() => sent(path, body, refused));
   last = answer.catch(() => null);
@@ -51,7 +54,7 @@ async function sent(path, body, refused) {
     if (error instanceof Refused && [401, 403].includes(error.problem.status)) {
       if (await askToken(say("setup.token_why"))) return sent(path, body, refused);
     }
-    if (refused && error instanceof Refused) refused(error.problem);
+    if (refused && error instanceof Refused && !NOT_ABOUT_STATEMENTS.includes(error.problem.status)) refused(inWords(error).problem);
     else showProblem(inWords(error), inProse);
     return null;
   }
@@ -62,7 +65,7 @@ const inProse = (text) => prose(inPageWords(text));
 /* The error with the words of its alarm, which are in both languages, before those of the service. */
 function inWords(error) {
   const { code, detail, hint } = error.problem ?? {};
-  if (known(`alarm.${code}`)) error.problem = { ...error.problem, detail: say(`alarm.${code}`), hint: [detail, hint].filter(Boolean).join(". ") };
+  if (known(`alarm.${code}`)) error.problem = { ...error.problem, detail: say(`alarm.${code}`), hint: sentences(detail, hint) };
   return error;
 }
 
