@@ -127,14 +127,14 @@ def _unproved(last: LastCompensation, unfinished: UnfinishedRun | None) -> Unpro
     return UnprovedTable(last.run_id, last.staged.number, last.former.number, provable)
 
 
-def _instruction(state: CompensationState, last: LastCompensation, active: RecordedBank) -> str:
+def _instruction(state: CompensationState, last: LastCompensation, active: int) -> str:
     if state is not CompensationState.CHANGED:
         return ""
     if last.unproved and last.staged is not None:
         left = UnprovedTable(last.run_id, last.staged.number, last.former.number, provable=False)
         return (
             f"run {last.run_id} ended with a table that was never proved, and neither this table nor the former one is "
-            f"active: find out who activated bank {active.number}, or {left.at_the_controller}"
+            f"active: find out who activated bank {active}, or {left.at_the_controller}"
         )
     return f"run {last.run_id} left bank {last.expected.number} active: find out who changed it, then calibrate again"
 

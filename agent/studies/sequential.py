@@ -4,11 +4,12 @@ of the VCE that are stated at the end contain the true one.
 The machines have more errors than the model describes (`twin.uncertainty.random_machines`). Each is calibrated
 sequentially, as a run does it: the next position is chosen from its own simulated measurements, and the measurement
 ends when the upper 95 % limit of the predicted VCE is below a target, or when the time of the position set of the
-study is over, but not before 20 minutes. A rule that ends at a lucky moment would state too small an error; the observed coverage shows it.
+study is over, but not before 20 minutes. A rule that ends at a lucky moment would state too small an error; the
+observed coverage shows it.
 
 On some of the machines, three ways to choose the positions are compared in machine time: the first positions of the
-set of the study, sets that are designed for several lengths of the slot, and the sequential choice. Beside them stands
-a lower bound of the expected VCE of all sets of the designs' candidates (`twin.design.relaxed_design`).
+set of the study, sets that are designed for several lengths of the slot, and the sequential choice. Beside them
+stands a lower bound of the expected VCE of all sets of the designs' candidates (`twin.design.relaxed_design`).
 """
 
 from __future__ import annotations

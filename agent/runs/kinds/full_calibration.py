@@ -74,9 +74,7 @@ class PendingCalibration:
         own, judge = choice.plan.job(self.here), self.judge
 
         def procedure() -> RunPlan:
-            return with_table_of(
-                judge.reference, lambda found: _verified_only(own, choice, judge, self.pending, found)
-            )
+            return with_table_of(judge.reference, lambda found: _verified_only(own, choice, judge, self.pending, found))
 
         return plan_run(own, self.kind, start, procedure, watch)
 

@@ -65,7 +65,9 @@ class VerificationChooser:
     false_alarm: float
     _powers: dict[tuple[Position, ...], StepPower] = field(default_factory=dict, init=False, repr=False)
     _evidences: dict[tuple[Position, ...], float] = field(default_factory=dict, init=False, repr=False)
-    _ranked: dict[tuple[tuple[str, ...], float], tuple[Position, ...]] = field(default_factory=dict, init=False, repr=False)
+    _ranked: dict[tuple[tuple[str, ...], float], tuple[Position, ...]] = field(
+        default_factory=dict, init=False, repr=False
+    )
 
     @classmethod
     def of(cls, chooser: PositionChooser, prior: CarriedOverPrior) -> VerificationChooser:
