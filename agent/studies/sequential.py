@@ -222,9 +222,8 @@ def run(case: StudyCase) -> StudyResult:
     endings = tuple(f"target {target:.2f} µm" for target in sorted(task.targets_um, reverse=True))
     rng = generator(case.seed, case.machines)
     coverage = {ending: _by_form([one for one in every if one.ending == ending], rng) for ending in endings}
-    curves = tuple(_curve(name, [one for one in every if one.ending == name]) for name in (NAMED, DESIGNED, SEQUENTIAL))
-    named = case.position_set or NAMED
-    curves = tuple(replace(curve, name=named) if curve.name == NAMED else curve for curve in curves)
+    labels = {NAMED: case.position_set or NAMED, DESIGNED: DESIGNED, SEQUENTIAL: SEQUENTIAL}
+    curves = tuple(_curve(label, [one for one in every if one.ending == name]) for name, label in labels.items())
     bounds = _bounds(case, problems, [one.minutes for one in designs])
     expected = [(one.minutes, UM_PER_MM * one.valuation.after.aligned_mm) for one in designs]
     return StudyResult(

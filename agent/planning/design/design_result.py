@@ -146,7 +146,7 @@ def _selected(problem: DesignProblem, search: ExchangeSearch, goal: Goal, *, ver
     long as time is left that improves the selection.
     """
     if not isinstance(goal, TimeSlotGoal):
-        return _drafted(problem, search, goal, verify=verify)
+        return _drafted(problem, search, partial(goal.select, search), verify=verify)
     draft = _fitting(problem, search, goal, goal.minutes, (), verify=verify)
     for _ in range(_MAX_EXTENSIONS):
         spare = goal.minutes - draft.minutes
@@ -173,7 +173,7 @@ def _fitting(
     shortest = math.inf
     while True:
         try:
-            draft = _drafted(problem, search, TimeSlotGoal(minutes), start, verify=verify)
+            draft = _drafted(problem, search, partial(TimeSlotGoal(minutes).select, search, start), verify=verify)
         except InputError:
             if shortest == math.inf:
                 raise
@@ -192,10 +192,10 @@ def _fitting(
 
 
 def _drafted(
-    problem: DesignProblem, search: ExchangeSearch, goal: Goal, start: Sequence[int] = (), *, verify: bool
+    problem: DesignProblem, search: ExchangeSearch, select: Callable[[], tuple[int, ...]], *, verify: bool
 ) -> _Draft:
     with translated(InputError):
-        chosen = goal.select(search, start) if isinstance(goal, TimeSlotGoal) else goal.select(search)
+        chosen = select()
     positions = problem.in_order([search.candidates.positions[index] for index in chosen])
     held_out = _held_out(problem, search.candidates, chosen) if verify else ()
     return _Draft(chosen, positions, held_out, problem.minutes(positions, held_out))

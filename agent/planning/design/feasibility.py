@@ -85,7 +85,7 @@ class FeasibilityCheck:
         line over the number of balls; this line gives the minutes of all other positions. `balls` (N,) contains the
         number of measured balls of each position.
         """
-        turns = np.array([self._turn_minutes(position) for position in positions])
+        turns = np.array([self.turn_minutes(position) for position in positions])
         timed = timed_among(len(positions))
         exact = np.array([self.minutes(positions[index]) for index in timed])
         own = exact - turns[timed]
@@ -125,7 +125,7 @@ class FeasibilityCheck:
             self._hits[key] = self._first_hit(position)
         return self._hits[key]
 
-    def _turn_minutes(self, position: Position) -> float:
+    def turn_minutes(self, position: Position) -> float:
         """Return the minutes in which the mount turns from rest to the angles of `position`."""
         return self._times.turn_s(AT_REST_DEG, (position.azimuth_deg, position.elevation_deg)) / S_PER_MIN
 

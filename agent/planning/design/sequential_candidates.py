@@ -179,7 +179,7 @@ class SequentialCandidates:
         """Time (N,) in s of each candidate, without the turn of the mount from both angles zero."""
         return np.array(
             [
-                S_PER_MIN * self._feasibility.minutes(position) - self._times.turn_s(AT_REST_DEG, _angles(position))
+                S_PER_MIN * (self._feasibility.minutes(position) - self._feasibility.turn_minutes(position))
                 for position in self.positions
             ]
         )

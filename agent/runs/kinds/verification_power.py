@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import cache
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from agent.runs.change_since_reference import night_noise
 from agent.runs.kinds.drift_check import Judge
 from agent.runs.kinds.night_plan import VERIFICATION, NightPlan, job_at_station, night_check, station_of
 from agent.runs.kinds.position_choice import PositionChooser
-from agent.runs.kinds.verification_choice import VerificationChoice, VerificationChooser
+from agent.runs.kinds.verification_choice import VerificationChooser
 from agent.runs.reference_state import ReferenceState, reference_for
 from twin.arrays import Array
 from twin.artefact.position_set import Position
@@ -113,12 +114,14 @@ def verification_power(job: Job, station: int) -> VerificationPower:
     more = verification.ranked(SQUARENESS, sought)[: len(planned.positions) + _MORE]
     check = night_check(chooser, prior, change)
 
-    def found(choice: VerificationChoice) -> FoundSteps:
-        return FoundSteps(choice.positions, _minutes(chooser.job, choice.plan), choice.evidence, choice.steps)
+    @cache
+    def found(positions: tuple[Position, ...]) -> FoundSteps:
+        choice = verification.found(positions)
+        return FoundSteps(positions, _minutes(chooser.job, choice.plan), choice.evidence, choice.steps)
 
     def fewest(errors: Sequence[str]) -> FoundSteps | None:
         choice = verification.fewest(errors, sought)
-        return None if choice is None else found(choice)
+        return None if choice is None else found(choice.positions)
 
     evidence = settings.step_evidence
     return VerificationPower(
@@ -126,8 +129,8 @@ def verification_power(job: Job, station: int) -> VerificationPower:
         since="" if reference is None else reference.run_id,
         false_alarm=verification.false_alarm,
         sought_urad=sought,
-        planned=found(planned),
-        by_positions=tuple(found(verification.found(more[:count])) for count in range(1, len(more) + 1)),
+        planned=found(planned.positions),
+        by_positions=tuple(found(more[:count]) for count in range(1, len(more) + 1)),
         fewest_squareness=fewest(SQUARENESS),
         fewest_angles=fewest((*SQUARENESS, *ROTATIONS)),
         night=FoundSteps(
