@@ -44,13 +44,13 @@ class LastMotion:
         self._at, self._begun, self._line = at, None, (at, at)
 
     def forget_line(self) -> None:
-        """Forget where the last motion can have led to: a person may have moved the axes since."""
+        """Forget where the last motion can have led to: something else may have moved the axes since, such as a person,
+        or the withdrawal of a run that is resumed."""
         self._line = None
 
     def distance_mm(self, here: Array) -> float:
         """Return the distance in mm of the position `here`, shape (3,), from the line of a motion that was interrupted,
-        or from the position at which the last motion ended; 0 if there was none, or if a person may have moved the axes
-        since.
+        or from the position at which the last motion ended; 0 if there was none, or if its line was forgotten.
         """
         if self._line is None:
             return 0.0

@@ -19,12 +19,7 @@ and the deviation of a controller that blends two moves."""
 
 
 def withdraw(
-    retreat: Retreat,
-    stylus_axis: NDArray[np.float64],
-    distance_mm: float,
-    last_motion: LastMotion | None = None,
-    *,
-    unmoved: bool = False,
+    retreat: Retreat, stylus_axis: NDArray[np.float64], distance_mm: float, last_motion: LastMotion | None = None
 ) -> Plan[None]:
     """Move the tip slowly back against the direction in which it arrived, then slowly along the stylus by
     `distance_mm`, then to the retreat plane, which no part of the artefact or mount reaches.
@@ -32,15 +27,12 @@ def withdraw(
     `last_motion` is the motion by which the tip arrived; if it is None, the first move is left out. All moves are
     guarded: they stop if the probe trips. A guarded move may start with a deflected probe, because it must be able to
     leave a contact. For this reason, the first two moves are slow. The plan does not clear a fault of the machine,
-    because a person must check the machine first.
-
-    `unmoved` is True if nothing has moved the axes since `last_motion`, as after a fault, but not in a run that is
-    resumed. Raises MeasurementFault then, before any move, if the machine reports a position that the last motion
-    cannot have led to: axes whose display has jumped would move anywhere.
+    because a person must check the machine first. Raises MeasurementFault before any move if the machine reports a
+    position that the last motion cannot have led to: axes whose display has jumped would move anywhere.
     """
     yield CheckPermissions("recover/permissions")
     here = np.array((yield ReadPosition("recover/here")))
-    off_mm = last_motion.distance_mm(here) if unmoved and last_motion is not None else 0.0
+    off_mm = 0.0 if last_motion is None else last_motion.distance_mm(here)
     if off_mm > OFF_LINE_MM:
         raise MeasurementFault(
             f"the machine reports a position {off_mm:.0f} mm off the line of its last motion: nothing is moved",

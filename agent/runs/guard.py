@@ -84,7 +84,7 @@ class _Guard:
     def _withdraw(self) -> None:
         rules = self._job.rules
         axis, last_motion = np.asarray(rules.probing.stylus_axis), self._context.rig.last_motion
-        self._engine.run(withdraw(rules.retreat, axis, rules.probing.retract_mm, last_motion, unmoved=True))
+        self._engine.run(withdraw(rules.retreat, axis, rules.probing.retract_mm, last_motion))
 
     def _attempt_restore(self) -> list[str]:
         """Activate the former bank.

@@ -96,6 +96,7 @@ class ReturnToPosition:
             raise refusal
         if isinstance(following, (MoveTo, TouchTowards)):
             self._trace.last_motion.begin(following.target_mm, touch=isinstance(following, TouchTowards))
+        self._trace.last_motion.forget_line()
         self._rig.last_motion = self._trace.last_motion
         prepared = self._results.prepared
         rules = self._planned.job.rules if prepared is None else prepared.rules

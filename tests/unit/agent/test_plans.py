@@ -198,7 +198,7 @@ def last_motion(*, ended: bool) -> LastMotion:
 )
 def test_nothing_is_withdrawn_from_a_position_that_the_last_motion_cannot_have_led_to(here, ended) -> None:
     motion = last_motion(ended=ended)
-    plan = withdraw(JOB.rules.retreat, np.array([0.0, 1.0, 0.0]), 45.0, motion, unmoved=True)
+    plan = withdraw(JOB.rules.retreat, np.array([0.0, 1.0, 0.0]), 45.0, motion)
     next(plan)
     plan.send(None)
     motion.set_position(here)  # as the rig does when it reads the position
@@ -208,20 +208,18 @@ def test_nothing_is_withdrawn_from_a_position_that_the_last_motion_cannot_have_l
 
 @pytest.mark.parametrize(("here", "ended"), [((100.0, 203.0, 300.0), True), ((101.0, 150.0, 300.0), False)])
 def test_a_position_on_the_line_of_the_last_motion_is_withdrawn_from(here, ended) -> None:
-    plan = withdraw(JOB.rules.retreat, np.array([0.0, 1.0, 0.0]), 45.0, last_motion(ended=ended), unmoved=True)
+    plan = withdraw(JOB.rules.retreat, np.array([0.0, 1.0, 0.0]), 45.0, last_motion(ended=ended))
     next(plan)
     plan.send(None)
     assert isinstance(plan.send(here), s.MoveTo)
 
 
-@pytest.mark.parametrize("asked", [False, True])
-def test_a_probe_that_others_may_have_moved_is_withdrawn_from_where_it_is(asked) -> None:
+def test_a_probe_that_others_may_have_moved_is_withdrawn_from_where_it_is() -> None:
     """In a run that is resumed the first process has withdrawn the probe; before an answer, a person may have moved
     it."""
     motion = last_motion(ended=False)
-    if asked:
-        motion.forget_line()
-    plan = withdraw(JOB.rules.retreat, np.array([0.0, 1.0, 0.0]), 45.0, motion, unmoved=asked)
+    motion.forget_line()
+    plan = withdraw(JOB.rules.retreat, np.array([0.0, 1.0, 0.0]), 45.0, motion)
     next(plan)
     plan.send(None)
     assert isinstance(plan.send((900.0, 150.0, 300.0)), s.MoveTo)
