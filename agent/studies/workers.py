@@ -12,10 +12,11 @@ import pickle
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, ProcessPoolExecutor, wait
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import partial
+from queue import Empty, SimpleQueue
 from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
@@ -98,16 +99,24 @@ def in_chunks(
     `done` is called as results arrive, and `waited` each time that none has arrived for `poll_s` seconds.
     """
     size = max(1, min(_MAX_ITEMS, -(-len(items) // (_CHUNKS_PER_WORKER * workers))))
-    with _without_interrupt():
+    # Not concurrent.futures.wait: it locks every pending future in turn, and a keyboard interrupt among these leaves
+    # some locked for good. The thread of the executor would then wait for them for ever when the pool is shut down.
+    ended: SimpleQueue[Future[list[Result]]] = SimpleQueue()
+    with _interrupt_deferred():
         futures = [executor.submit(run, first, items[first : first + size]) for first in range(0, len(items), size)]
-    pending, finished = set(futures), 0
+        for future in futures:
+            future.add_done_callback(ended.put)
+    pending, finished = len(futures), 0
     while pending:
-        ready, pending = wait(pending, poll_s, FIRST_COMPLETED)
-        if ready:
-            finished += sum(len(future.result()) for future in ready)
-            done(finished)
-        elif waited is not None:
-            waited()
+        try:
+            future = ended.get(timeout=poll_s)
+        except Empty:
+            if waited is not None:
+                waited()
+            continue
+        pending -= 1
+        finished += len(future.result())
+        done(finished)
     return [result for future in futures for result in future.result()]
 
 
@@ -181,13 +190,23 @@ def _run_in_process(run: RunItems[Item, Result], items: Sequence[Item], done: On
 
 
 @contextmanager
-def _without_interrupt() -> Iterator[None]:
-    """Block the keyboard interrupt in processes started inside the `with` block; only this process handles it."""
-    former = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+def _interrupt_deferred() -> Iterator[None]:
+    """Defer a keyboard interrupt to the end of the `with` block, and block it in processes started inside; only this
+    process handles it.
+    """
+    interrupts: list[int] = []
+    # A thread of a library may receive the signal although this thread blocks it, so the handler is replaced too.
+    is_main = threading.current_thread() is threading.main_thread()
+    former_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    former = signal.signal(signal.SIGINT, lambda number, _: interrupts.append(number)) if is_main else None
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, former)
+        if is_main:
+            signal.signal(signal.SIGINT, former)
+        signal.pthread_sigmask(signal.SIG_SETMASK, former_mask)
+        if interrupts:
+            signal.raise_signal(signal.SIGINT)
 
 
 def _end_with_parent() -> None:

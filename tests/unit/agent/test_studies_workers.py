@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import multiprocessing
 import pickle
+import signal
+import sys
+import threading
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
+from types import FrameType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -48,6 +53,53 @@ class TestChunks:
     def test_a_failing_item_is_named_by_number_and_content(self) -> None:
         with pytest.raises(VolcalError, match=r"failed: TypeError: .*\(item 7: 'S3'\)"), threadpool_limits(limits=1):
             run_chunk(pickle.dumps(abs), 7, ["S3"])
+
+
+class Recorded(ThreadPoolExecutor):
+    """One thread, with a record of the futures that were returned."""
+
+    def __init__(self) -> None:
+        super().__init__(1)
+        self.futures: list[Future[Any]] = []
+
+    def submit(self, *work: Any, **named: Any) -> Future[Any]:
+        future = super().submit(*work, **named)
+        self.futures.append(future)
+        return future
+
+
+class TestKeyboardInterrupt:
+    @pytest.mark.parametrize("entry", [1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144, 233])
+    def test_it_leaves_no_future_locked(self, entry: int) -> None:
+        """The keyboard interrupts when this thread takes a lock of the kind that every future has for the nth time."""
+        entered = 0
+
+        def interrupt(_: FrameType, event: str, called: Any) -> None:
+            nonlocal entered
+            if event == "c_call" and isinstance(getattr(called, "__self__", None), type(threading.RLock())):
+                entered += 1
+                if entered == entry:
+                    signal.raise_signal(signal.SIGINT)
+
+        executor = Recorded()
+        start = threading.Event()
+        executor.submit(start.wait)
+        sys.setprofile(interrupt)
+        try:
+            in_chunks(executor, 80, lambda _, items: list(items), range(2000), lambda _: None, start.set, 0.0)
+        except KeyboardInterrupt:
+            interrupted = True
+        else:
+            interrupted = False
+        finally:
+            sys.setprofile(None)
+            start.set()
+        assert interrupted == (entered >= entry)
+        reader = threading.Thread(target=lambda: [future.exception() for future in executor.futures], daemon=True)
+        reader.start()
+        reader.join(60.0)
+        assert not reader.is_alive(), "a future is locked"
+        executor.shutdown()
 
 
 class TestGenerators:
