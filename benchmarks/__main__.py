@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from benchmarks import design, engine, family, field, identification, route, sequential, timing
+from benchmarks import design, engine, family, field, history, identification, route, sequential, timing
 
 
 def main() -> None:
-    for part in (field, family, identification, engine, timing, route, design, sequential):
+    for part in (field, family, identification, engine, timing, route, design, sequential, history):
         print(f"\n{(part.__doc__ or part.__name__).splitlines()[0]}")
         part.main()
 

@@ -15,22 +15,22 @@ VERSION = 3
 
 
 def prepare(connection: sqlite3.Connection, path: Path) -> None:
-    """Create the database tables of the journal in one transaction if the database is empty.
+    """Create the tables and indexes that the database does not have yet, in one transaction.
 
-    After a power cut, the journal has all tables or none. Raises ConfigurationError if it has a different version; such
-    a journal is not written to.
+    These are all of them, or the indexes if an earlier program has created the journal without them. After a power cut,
+    the journal has all tables or none. Raises ConfigurationError if it has a different version; such a journal is not
+    written to.
     """
     require_version(connection, path, ConfigurationError)
     connection.execute("PRAGMA journal_mode=WAL")
     connection.execute("PRAGMA synchronous=FULL")
-    if not is_empty(connection):
-        return
     statements = (files(__package__) / "journal_schema.sql").read_text().split(";\n")
     connection.execute("BEGIN IMMEDIATE")
     try:
         for statement in statements:
             connection.execute(statement)
-        connection.execute(f"PRAGMA user_version = {VERSION}")
+        if is_empty(connection):
+            connection.execute(f"PRAGMA user_version = {VERSION}")
     except BaseException:
         connection.execute("ROLLBACK")
         raise

@@ -74,6 +74,10 @@ CREATE TABLE IF NOT EXISTS tables (
     counts BLOB,
     aside INTEGER NOT NULL DEFAULT 0
 );
+CREATE INDEX IF NOT EXISTS events_of_run ON events (run);
+CREATE INDEX IF NOT EXISTS decisions_of_run ON decisions (run);
+CREATE INDEX IF NOT EXISTS estimates_of_run ON estimates (run);
+CREATE INDEX IF NOT EXISTS tables_of_run ON tables (run);
 CREATE VIEW IF NOT EXISTS touches AS
     SELECT run, ordinal, key, detail, finished AS at, result
     FROM steps WHERE kind = 'TouchTowards' AND result IS NOT NULL AND NOT aside;

@@ -11,8 +11,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from agent.history.schema import StoredParameter, StoredRun, utc_time
+from agent.history.schema import StoredRun, utc_time
 from agent.results.run_outcome import Decision
 from agent.settings.history import HistorySettings
 from twin.arrays import Array
@@ -84,12 +85,22 @@ def nights_of(runs: Sequence[StoredRun]) -> Array:
     return np.array([nights[run.run_id] for run in runs])
 
 
-@dataclass(frozen=True)
-class _Point:
-    night: float
-    run_id: str
-    value: float
-    sigma: float | None
+@dataclass(frozen=True, eq=False)
+class _Values:
+    """Values that one quantity had in n of the runs. `runs` contains the indices of these runs, `sigmas` the standard
+    uncertainties of the values, NaN where they are not known; each has the shape (n,)."""
+
+    runs: NDArray[np.intp]
+    values: Array
+    sigmas: Array
+
+    @classmethod
+    def joined(cls, parts: Sequence[_Values]) -> _Values:
+        """Return the values of all `parts`, in the order of the runs."""
+        runs = np.concatenate([part.runs for part in parts])
+        order = np.argsort(runs)
+        values, sigmas = (np.concatenate([getattr(part, name) for part in parts]) for name in ("values", "sigmas"))
+        return cls(runs[order], values[order], sigmas[order])
 
 
 def _volumetric(runs: Sequence[StoredRun], timeline: Array, settings: HistorySettings) -> Iterable[Series]:
@@ -108,13 +119,11 @@ def _volumetric(runs: Sequence[StoredRun], timeline: Array, settings: HistorySet
         ),
     )
     for name, read, tolerance in readings:
-        points = [
-            _Point(float(night), run.run_id, value, sigma)
-            for night, run in zip(timeline, runs, strict=True)
-            for value, sigma in [read(run)]
-            if value is not None
-        ]
-        yield _series(name, TITLES[name], "µm", points, tolerance, changed if name == BARE else anew, two_sided=False)
+        found = [(place, *read(run)) for place, run in enumerate(runs)]
+        known = np.array([one for one in found if one[1] is not None], dtype=np.float64).reshape(-1, 3)  # None is NaN
+        values = _Values(known[:, 0].astype(np.intp), known[:, 1], known[:, 2])
+        steps = changed if name == BARE else anew
+        yield _series(name, TITLES[name], "µm", values, runs, timeline, tolerance, steps, two_sided=False)
 
 
 def _errors(runs: Sequence[StoredRun], timeline: Array, settings: HistorySettings) -> Iterable[Series]:
@@ -123,22 +132,34 @@ def _errors(runs: Sequence[StoredRun], timeline: Array, settings: HistorySetting
     """
     tolerances = settings.parameter_tolerances
     steps = _nights_where(runs, timeline, lambda run: run.night in _CHANGED_MACHINE)
-    whole: dict[str, list[_Point]] = {}
-    single: dict[str, list[_Point]] = {}
+    whole: dict[str, list[_Values]] = {}
+    single: dict[str, list[_Values]] = {}
     units: dict[str, str] = {}
-    for night, run in zip(timeline, runs, strict=True):
-        for error, coefficients in _by_error(run.parameters).items():
-            value, sigma = _largest(coefficients)
-            whole.setdefault(error, []).append(_Point(float(night), run.run_id, value, sigma))
-            units[error] = next(iter(coefficients.values())).unit
-        for parameter in run.parameters:
-            point = _Point(float(night), run.run_id, parameter.value, parameter.standard_uncertainty)
-            single.setdefault(parameter.name, []).append(point)
-            units[parameter.name] = parameter.unit
-    for name, points in whole.items():
-        yield _series(name, name, units[name], points, tolerances.get(name), steps, two_sided=False)
-    for name, points in single.items():
-        yield _series(name, title_of(name), units[name], points, tolerances.get(name), steps, two_sided=True)
+    for names, places in _runs_by_parameters(runs).items():
+        units |= {one.name: one.unit for one in runs[places[0]].parameters}
+        values = np.array([[one.value for one in runs[place].parameters] for place in places])
+        sigmas = np.array([[one.standard_uncertainty for one in runs[place].parameters] for place in places])
+        for error, columns in _by_error(names).items():
+            chosen = list(columns.values())
+            largest = _largest(list(columns), values[:, chosen], sigmas[:, chosen])
+            whole.setdefault(error, []).append(_Values(places, *largest))
+            units[error] = units[names[chosen[0]]]
+        for column, name in enumerate(names):
+            single.setdefault(name, []).append(_Values(places, values[:, column], sigmas[:, column]))
+    for found, two_sided in ((whole, False), (single, True)):
+        for name, parts in found.items():
+            joined, tolerance = _Values.joined(parts), tolerances.get(name)
+            title = title_of(name)
+            yield _series(name, title, units[name], joined, runs, timeline, tolerance, steps, two_sided=two_sided)
+
+
+def _runs_by_parameters(runs: Sequence[StoredRun]) -> Mapping[tuple[str, ...], NDArray[np.intp]]:
+    """Return the indices of the runs that have the same parameters, by the names of these parameters."""
+    found: dict[tuple[str, ...], list[int]] = {}
+    for place, run in enumerate(runs):
+        if run.parameters:
+            found.setdefault(tuple(one.name for one in run.parameters), []).append(place)
+    return {names: np.array(places) for names, places in found.items()}
 
 
 def title_of(parameter: str) -> str:
@@ -153,29 +174,29 @@ def title_of(parameter: str) -> str:
     return f"{found[1]} {_ORDER_NAMES.get(found[2], f'order {found[2]}')}"
 
 
-def _by_error(parameters: Sequence[StoredParameter]) -> Mapping[str, Mapping[int, StoredParameter]]:
-    """Return the coefficients of each error motion, by the name of the error motion and then by Legendre order."""
-    errors: dict[str, dict[int, StoredParameter]] = {}
-    for parameter in parameters:
-        found = _COEFFICIENT.fullmatch(parameter.name)
+def _by_error(names: Sequence[str]) -> Mapping[str, Mapping[int, int]]:
+    """Return the places of the coefficients of each error motion among the parameters with these `names`, by the name
+    of the error motion and then by Legendre order."""
+    errors: dict[str, dict[int, int]] = {}
+    for place, name in enumerate(names):
+        found = _COEFFICIENT.fullmatch(name)
         if found is not None:
-            errors.setdefault(found[1], {})[int(found[2])] = parameter
+            errors.setdefault(found[1], {})[int(found[2])] = place
     return errors
 
 
-def _largest(coefficients: Mapping[int, StoredParameter]) -> tuple[float, float]:
-    """Return the largest absolute value of an error along the axis, and the standard uncertainty at that point.
+def _largest(orders: Sequence[int], values: Array, sigmas: Array) -> tuple[Array, Array]:
+    """Return the largest absolute value of an error along the axis in each of n runs, and the standard uncertainty at
+    that point, each with the shape (n,). `values` and `sigmas`, shape (n, n_orders), are those of the coefficients.
 
     The coefficients are treated as uncorrelated because the history stores no covariances. Only the weight of a night
     depends on this standard uncertainty.
     """
-    orders = list(coefficients)
-    rows = legendre_values(np.linspace(-1.0, 1.0, _SAMPLES), max(orders))[orders]
-    values = np.array([coefficients[order].value for order in orders])
-    sigmas = np.array([coefficients[order].standard_uncertainty for order in orders])
-    along = values @ rows
-    place = int(np.argmax(np.abs(along)))
-    return float(abs(along[place])), float(np.sqrt(np.sum((sigmas * rows[:, place]) ** 2)))
+    rows = legendre_values(np.linspace(-1.0, 1.0, _SAMPLES), max(orders))[list(orders)]
+    along = np.abs(values @ rows)
+    place = np.argmax(along, axis=1)
+    sigma = np.sqrt(np.sum((sigmas * rows[:, place].T) ** 2, axis=1))
+    return along[np.arange(len(along)), place], sigma
 
 
 def _nights_where(
@@ -188,22 +209,23 @@ def _series(
     name: str,
     title: str,
     unit: str,
-    points: Sequence[_Point],
+    values: _Values,
+    runs: Sequence[StoredRun],
+    timeline: Array,
     tolerance: float | None,
     steps: Sequence[float],
     *,
     two_sided: bool,
 ) -> Series:
-    sigmas = [point.sigma for point in points]
-    stated = all(sigma is not None and sigma > 0.0 for sigma in sigmas)
+    stated = bool((values.sigmas > 0.0).all())  # NaN, which stands for a value without uncertainty, is not above zero
     return Series(
         name=name,
         title=title,
         unit=unit,
-        run_ids=tuple(point.run_id for point in points),
-        nights=np.array([point.night for point in points]),
-        values=np.array([point.value for point in points]),
-        sigmas=np.array([sigma if stated and sigma is not None else 1.0 for sigma in sigmas]),
+        run_ids=tuple(runs[place].run_id for place in values.runs),
+        nights=timeline[values.runs],
+        values=values.values,
+        sigmas=values.sigmas if stated else np.ones_like(values.values),
         stated=stated,
         tolerance=tolerance,
         two_sided=two_sided,

@@ -5,7 +5,7 @@ Each run of a machine has one row in the table of runs. If the run has changed, 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
@@ -123,16 +123,25 @@ class HistoryStore:
         rows = self._read(select(RUNS.c.machine).distinct().order_by(RUNS.c.machine))
         return tuple(machine for (machine,) in rows)
 
-    def runs(self, machine: str | None = None, last: int | None = None, *, whole: bool = True) -> Sequence[StoredRun]:
+    def runs(
+        self,
+        machine: str | None = None,
+        last: int | None = None,
+        *,
+        whole: bool = True,
+        only: Collection[str] | None = None,
+    ) -> Sequence[StoredRun]:
         """Return the runs of one machine, the oldest run first. If `machine` is None, return the runs of all
         machines.
 
         If `last` is given, only the newest `last` runs are returned. If `whole` is False, the parameters, temperatures
-        and decisions of the runs are left empty.
+        and decisions of the runs are left empty. If `only` is given, only runs with these identities are returned.
         """
         query = select(RUNS)
         if machine is not None:
             query = query.where(RUNS.c.machine == machine)
+        if only is not None:
+            query = query.where(RUNS.c.run_id.in_(only))
         query = query.order_by(RUNS.c.started.desc(), RUNS.c.run_id.desc()).limit(last)
         with self._translated_errors(), self._engine.connect() as connection:
             found = [StoredRun(*row) for row in connection.execute(query)][::-1]
@@ -217,10 +226,11 @@ def _add_children(connection: Connection, query: Select[Any], runs: Sequence[Sto
     found = query.with_only_columns(RUNS.c.machine, RUNS.c.run_id).subquery()
     for name, (table, row_type, order) in _CHILDREN.items():
         of_run = (table.c.machine == found.c.machine) & (table.c.run_id == found.c.run_id)
-        for row in connection.execute(select(table).join(found, of_run).order_by(table.c[order])):
-            run = by_key.get((row.machine, row.run_id))
-            if run is not None:  # None if another process has stored the run since
-                getattr(run, name).append(row_type(*row))
+        lists = {key: getattr(run, name) for key, run in by_key.items()}
+        for row in connection.execute(select(table).join(found, of_run).order_by(table.c[order])).all():
+            rows = lists.get((row[0], row[1]))  # machine and run_id
+            if rows is not None:  # None if another process has stored the run since
+                rows.append(row_type(*row))
 
 
 def _engine(address: DatabaseAddress) -> Engine:

@@ -26,6 +26,7 @@ from twin.arrays import Array
 from twin.errors import DataError
 
 _BISECTIONS = 60  # of the horizon: 2⁻⁶⁰ of it is below the rounding of a double
+_SAME_NIGHT = 1e-9  # nights; two runs are further apart
 MIN_FREEDOM_FOR_SCALE = 4
 COVERAGE = 0.95
 # Few nights give a poor correlation; at 0.9 the variance is multiplied by 19, at 1 by infinity.
@@ -84,7 +85,7 @@ def fit_drift(nights: ArrayLike, values: ArrayLike, sigmas: ArrayLike, steps: Se
     _check(t, y, u)
     design = regression_design(t, steps)
     freedom = len(y) - design.shape[1]
-    if freedom < 0 or np.linalg.matrix_rank(design) < design.shape[1]:
+    if freedom < 0 or not is_determined(t, steps):
         raise DataError(f"{len(y)} values are too few for a drift with {len(steps)} steps")
     # Each equation divided by its standard uncertainty has unit variance, so that (AᵀA)⁻¹ is the covariance.
     weighted = design / u[:, None]
@@ -124,6 +125,15 @@ def regression_design(t: Array, steps: Sequence[float]) -> Array:
     """
     before = [-(t < at).astype(np.float64) for at in steps]
     return np.stack([np.ones_like(t), t - t[-1], *before], axis=1)
+
+
+def is_determined(t: Array, steps: Sequence[float]) -> bool:
+    """Return True if the drift regression for the nights `t` and the `steps` has a single solution: there are values on
+    each level, and on one of them values of different nights, which determine the slope.
+    """
+    levels = np.searchsorted(np.sort(steps), t, side="right")
+    same_level = np.diff(levels) == 0
+    return len(np.unique(levels)) == len(steps) + 1 and bool((np.diff(t)[same_level] > _SAME_NIGHT).any())
 
 
 def _scatter(residuals: Array, freedom: int) -> tuple[float, float]:

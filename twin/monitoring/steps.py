@@ -12,13 +12,14 @@ for the search over times, as in the modified Bayesian information criterion (BI
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.arrays import Array
-from twin.monitoring.drift import regression_design
+from twin.monitoring.drift import is_determined, regression_design
 
 PENALTY_PER_LOG = 6.0
 MIN_NIGHTS = 8
@@ -27,6 +28,8 @@ MIN_NOISE_SHARE = 1e-3
 """Lower bound of the noise as a share of the stated uncertainty; smaller residuals are rounding errors."""
 MEDIAN_RANGE = 0.9539
 """Median of the range of two standard normal values: sqrt(2) times their upper quartile 0.6745."""
+
+_DEPENDENT = 1e-10  # share of a column that is not explained by others, below which it depends on them
 
 
 def find_steps(
@@ -59,15 +62,72 @@ def _best(t: Array, y: Array, sigmas: Array, steps: Sequence[float]) -> float | 
 
     The gain of the step must still exceed the penalty if any single value is omitted.
     """
-    gains = {at: _gain(t, y, sigmas, steps, at) for at in _candidates(t, steps)}
+    regression = _Regression.of(t, y, sigmas, steps)
+    candidates = _candidates(t, steps)
+    gains = regression.gains(candidates)
     penalty = _penalty(len(t))
-    for at in sorted(gains, key=lambda at: -gains[at]):
-        if gains[at] < penalty:
+    for index in np.argsort(-gains, kind="stable"):
+        if gains[index] < penalty:
             return None
-        without = (np.arange(len(t)) != index for index in range(len(t)))
-        if all(_gain(t[kept], y[kept], sigmas[kept], steps, at) >= penalty for kept in without):
-            return at
+        at = candidates[int(index)]
+        if (regression.gains_without_one_value(at) >= penalty).all():
+            return float(t[at])
     return None
+
+
+@dataclass(frozen=True, eq=False)
+class _Regression:
+    """Regression of n nights on p columns, each row divided by its standard uncertainty 1 / `weights`.
+
+    `basis`, shape (n, p), has orthonormal columns that span the columns of the regression, and `residuals`, shape (n,),
+    are orthogonal to them. A further column c, that of a step, reduces the residual sum of squares by
+    (c' · r)² / |c'|², where c' is the part of c that is orthogonal to the basis and r are the residuals.
+    """
+
+    weights: Array
+    basis: Array
+    residuals: Array
+
+    @classmethod
+    def of(cls, t: Array, y: Array, sigmas: Array, steps: Sequence[float]) -> _Regression:
+        weights = 1.0 / sigmas
+        basis = np.linalg.qr(regression_design(t, steps) * weights[:, None])[0]
+        return cls(weights, basis, y * weights - basis @ (basis.T @ (y * weights)))
+
+    def gains(self, candidates: Sequence[int]) -> Array:
+        """Return the reduction of the residual sum of squares by a step at each of the `candidates`, shape
+        (n_candidates,). A candidate is the index of the first value after its step.
+        """
+        # The column of a step contains the weights of the values before it; cumulative sums serve all candidates.
+        last_before = np.array(candidates, dtype=np.intp) - 1
+        square = np.cumsum(self.weights**2)[last_before]
+        shares = np.cumsum(self.weights[:, None] * self.basis, axis=0)[last_before]
+        explained = np.cumsum(self.weights * self.residuals)[last_before]
+        left = square - np.sum(shares**2, axis=1)
+        gains: Array = np.divide(explained**2, left, out=np.zeros_like(left), where=left > _DEPENDENT * square)
+        return gains
+
+    def gains_without_one_value(self, at: int) -> Array:
+        """Return the reduction of the residual sum of squares by the step before the value `at` if one value is
+        omitted, for each of the n values, shape (n,).
+        """
+        column = np.where(np.arange(len(self.weights)) < at, self.weights, 0.0)
+        column = column - self.basis @ (self.basis.T @ column)
+        column /= np.linalg.norm(column)
+        with_step = self.residuals - column * (column @ self.residuals)
+        leverage = np.sum(self.basis**2, axis=1)
+        before = _squares_without_one_value(self.residuals, leverage)
+        return before - _squares_without_one_value(with_step, leverage + column**2)
+
+
+def _squares_without_one_value(residuals: Array, leverage: Array) -> Array:
+    """Return the residual sum of squares of a regression if one value is omitted, for each value (Belsley, Kuh and
+    Welsch 1980). `leverage` is the diagonal of the projection on the columns. A value with leverage 1 has no residual;
+    without it the sum remains.
+    """
+    freedom = 1.0 - leverage
+    omitted: Array = np.divide(residuals**2, freedom, out=np.zeros_like(residuals), where=freedom > _DEPENDENT)
+    return residuals @ residuals - omitted
 
 
 def _penalty(count: int) -> float:
@@ -90,30 +150,18 @@ def _usable(t: Array, known: Sequence[float]) -> tuple[float, ...]:
     """Return the known steps, in ascending order, that leave the regression solvable."""
     kept: list[float] = []
     for at in sorted(set(known)):
-        design = regression_design(t, [*kept, at])
-        if len(t) > design.shape[1] and np.linalg.matrix_rank(design) == design.shape[1]:
+        if len(t) > len(kept) + 3 and is_determined(t, [*kept, at]):
             kept.append(at)
     return tuple(kept)
 
 
-def _candidates(t: Array, steps: Sequence[float]) -> list[float]:
-    """Return the times at which a further step would leave at least two values on each level."""
+def _candidates(t: Array, steps: Sequence[float]) -> list[int]:
+    """Return the indices of the values before which a further step would leave at least two values on each level."""
     edges = [0, *(int(np.searchsorted(t, at)) for at in steps), len(t)]
     return [
-        float(t[index])
+        index
         for start, end in pairwise(edges)
         for index in range(start + 2, end - 1)
         # values of the same night cannot lie on different sides of a step
         if t[index] > t[index - 1]
     ]
-
-
-def _gain(t: Array, y: Array, sigmas: Array, steps: Sequence[float], at: float) -> float:
-    return _square(t, y, sigmas, steps) - _square(t, y, sigmas, sorted([*steps, at]))
-
-
-def _square(t: Array, y: Array, sigmas: Array, steps: Sequence[float]) -> float:
-    design = regression_design(t, steps) / sigmas[:, None]
-    found = np.linalg.lstsq(design, y / sigmas, rcond=None)[0]
-    left = y / sigmas - design @ found
-    return float(left @ left)

@@ -3,32 +3,28 @@ or the parameters of one geometric error."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import closing
 from threading import Lock
 from typing import Any
 
-from agent.execution.journal_reader import has_journal
-from agent.execution.run_record import run_ids
-from agent.history.database_url import database_address
+from agent.history.cached_trends import CachedTrends, MachineTrends
 from agent.history.overview import VOLUMETRIC, alarms_of
 from agent.history.schema import StoredRun
-from agent.history.series import Series, all_series
-from agent.history.store import HistoryStore
-from agent.history.sync import sync
-from agent.history.trends import Trend, trend_of
+from agent.history.series import Series
+from agent.history.trends import Trend
 from agent.settings.schema import Settings
 
 Document = dict[str, Any]
 
 
 class TrendCache:
-    """Cache of the trends. They are computed again only if the runs in the history or the history settings have
-    changed. The cache is safe to use from any thread."""
+    """Cache of the documents of the trends. A document is made again only if its trends have been fitted again. The
+    cache is safe to use from any thread."""
 
     def __init__(self) -> None:
+        self._trends = CachedTrends()
         self._lock = Lock()
-        self._cached: dict[str | None, tuple[object, Document]] = {}
+        self._made_of: MachineTrends | None = None
+        self._documents: dict[str | None, Document] = {}
 
     def document(self, settings: Settings, of: str | None) -> Document:
         """Return the trends of all parameters of the geometric error `of`. If `of` is None, return the trends of the
@@ -36,25 +32,21 @@ class TrendCache:
 
         Raise LinkLost or ConfigurationError if the history cannot be read.
         """
-        with closing(HistoryStore(database_address(settings))) as store:
-            digests = dict(store.digests(store.address.machine))
-            if has_journal(settings.state_directory) and not set(run_ids(settings.state_directory)) <= set(digests):
-                sync(settings.state_directory, store)
-                digests = dict(store.digests(store.address.machine))
-            key = (settings.history.model_dump_json(), tuple(sorted(digests.items())))
-            with self._lock:
-                if of not in self._cached or self._cached[of][0] != key:
-                    self._cached[of] = (key, _document(store.runs(store.address.machine), settings, of))
-                return self._cached[of][1]
+        current = self._trends.current(settings)
+        with self._lock:
+            if current is not self._made_of:
+                self._made_of, self._documents = current, {}
+            if of not in self._documents:
+                self._documents[of] = _document(current, of)
+            return self._documents[of]
 
 
-def _document(runs: Sequence[StoredRun], settings: Settings, of: str | None) -> Document:
-    chosen = [series for series in all_series(runs, settings.history) if _is_selected(series, of)]
-    trends = [trend_of(series, settings.history.warn_nights) for series in chosen]
+def _document(current: MachineTrends, of: str | None) -> Document:
+    trends = [trend for trend in current.trends if _is_selected(trend.series, of)]
     return {
         "trends": [_trend(trend) for trend in trends],
         "alarms": [{"series": a.series, "kind": a.kind.value, "text": a.text} for a in alarms_of(trends)],
-        "runs": {run.run_id: {"started": _utc(run), "kind": run.kind, "state": run.state} for run in runs},
+        "runs": {run.run_id: {"started": _utc(run), "kind": run.kind, "state": run.state} for run in current.runs},
     }
 
 

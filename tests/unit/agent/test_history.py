@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from journal_surgery import add_event, change_end, remove_results
+from journal_surgery import add_event, change_end, operate, remove_results
 from journaled import SETTINGS, journaled, run_id
 from prometheus_client.parser import text_string_to_metric_families
 from volcal_command import volcal
@@ -22,6 +22,7 @@ from volcal_command import volcal
 from agent.cli.main import main
 from agent.execution.run_record import read_record, run_ids
 from agent.execution.states import RunState
+from agent.history.cached_trends import CachedTrends
 from agent.history.database_url import DatabaseAddress, database_address
 from agent.history.export import as_csv, as_json
 from agent.history.figure import trends_png, trends_svg
@@ -63,6 +64,28 @@ def store(state: Path) -> Iterator[HistoryStore]:
     state.mkdir()
     with closing(HistoryStore(database_address(settings(state)))) as opened:
         yield opened
+
+
+def test_trends_read_only_the_runs_that_are_new_or_changed(state: Path) -> None:
+    for night in range(3):
+        journaled(state, night, machine="mine")
+    cached, chosen = CachedTrends(), settings(state, machine="mine")
+    first = cached.current(chosen)
+    assert [run.run_id for run in first.runs] == [run_id(night) for night in range(3)]
+    assert cached.current(chosen) is first
+    journaled(state, 3, exx_um=9.0, machine="mine")
+    second = cached.current(chosen)
+    assert [run.run_id for run in second.runs] == [run_id(night) for night in range(4)]
+    assert all(now is before for now, before in zip(second.runs, first.runs, strict=False))
+    [slope] = [trend.series for trend in second.trends if trend.series.name == "EXX[1]"]
+    assert slope.values == pytest.approx([3.0, 3.0, 3.0, 9.0])
+    operate(state, "UPDATE runs SET state = 'faulted' WHERE run_id = ?", run_id(1))
+    with closing(HistoryStore(database_address(chosen))) as store:
+        sync(state, store)
+    third = cached.current(chosen)
+    assert [now is before for now, before in zip(third.runs, second.runs, strict=True)] == [True, False, True, True]
+    assert third.runs[1].state == "faulted"
+    assert cached.current(settings(state, machine="another")).runs == []
 
 
 class TestFeeding:

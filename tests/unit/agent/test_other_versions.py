@@ -10,13 +10,14 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 from journal_surgery import operate
-from journaled import SETTINGS, run_id
+from journaled import SETTINGS, journaled, run_id
 
 from agent.cli.main import main
 from agent.errors import JournalFailed
 from agent.execution.journal import Journal
 from agent.execution.journal_reader import has_journal, open_journal
 from agent.execution.journal_schema import FILE_NAME, VERSION
+from agent.execution.run_record import read_record
 from agent.execution.states import RunState
 from agent.runs.origin import read_origin
 from agent.runs.reference_state import read_reference
@@ -112,6 +113,15 @@ def test_a_run_with_settings_that_this_version_does_not_know_is_not_resumed(
         read_origin(reader, 1)
     assert (caught.value.where["run"], caught.value.where["key"]) == ("run-1", key)
     assert "Start a new run" in caught.value.hint
+
+
+def test_a_journal_without_indexes_gets_them(tmp_path: Path) -> None:
+    journaled(tmp_path, 1)
+    operate(tmp_path, "DROP INDEX decisions_of_run")
+    Journal(tmp_path).close()
+    operate(tmp_path, "DROP INDEX decisions_of_run")  # raises an error if there is none
+    Journal(tmp_path).close()
+    assert read_record(tmp_path, run_id(1)).state == "complete"
 
 
 def test_a_journal_of_a_newer_version_keeps_its_mode_and_its_log(tmp_path: Path) -> None:

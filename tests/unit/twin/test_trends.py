@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -106,6 +107,53 @@ class TestDrift:
             fit_drift([1.0, 0.0], [0.0, 1.0], [1.0, 1.0])
 
 
+def dense_design(t: np.ndarray, steps: Sequence[float]) -> np.ndarray:
+    return np.stack([np.ones_like(t), t, *((t >= at).astype(float) for at in steps)], axis=1)
+
+
+def steps_of_dense_solutions(t: np.ndarray, y: np.ndarray, u: np.ndarray, known: Sequence[float]) -> tuple[float, ...]:
+    """Search for steps as `find_steps` does, with a dense least-squares solution for each candidate."""
+    steps: list[float] = []
+    for at in sorted(set(known)):
+        design = dense_design(t, [*steps, at])
+        if len(t) > design.shape[1] and np.linalg.matrix_rank(design) == design.shape[1]:
+            steps.append(at)
+    relative = u / np.median(u)
+    differences = np.diff(y / relative)
+    noise = np.median(np.abs(differences - np.median(differences))) / 0.9539
+    sigmas = relative * max(noise, 1e-3 * np.median(u))
+    penalty = 6.0 * np.log(len(t)) * len(t) / (len(t) - 5.0)
+
+    def square(kept: np.ndarray, on: Sequence[float]) -> float:
+        rows = dense_design(t, on)[kept] / sigmas[kept, None]
+        left = y[kept] / sigmas[kept] - rows @ np.linalg.lstsq(rows, y[kept] / sigmas[kept], rcond=None)[0]
+        return float(left @ left)
+
+    def gain(kept: np.ndarray, at: float) -> float:
+        return square(kept, steps) - square(kept, [*steps, at])
+
+    everything = np.arange(len(t))
+    for _ in range(5 + len(known) - len(steps)):
+        levels = np.digitize(t, steps)
+        candidates = [
+            at
+            for at in np.unique(t)
+            for same in [levels == np.digitize(at, steps)]
+            if np.sum(same & (t < at)) >= 2 and np.sum(same & (t >= at)) >= 2
+        ]
+        best = None
+        for at in sorted(candidates, key=lambda at: -gain(everything, at)):
+            if gain(everything, at) < penalty:
+                break
+            if all(gain(np.delete(everything, index), at) >= penalty for index in everything):
+                best = float(at)
+                break
+        if best is None:
+            break
+        steps = sorted([*steps, best])
+    return tuple(steps)
+
+
 class TestSteps:
     def test_a_series_without_a_step_seldom_shows_one(self) -> None:
         rng = np.random.default_rng(3)
@@ -126,6 +174,19 @@ class TestSteps:
         values = rng.normal(0.0, 0.1, 20)
         values[-1] += 3.0
         assert find_steps(np.arange(20.0), values, np.ones(20)) == ()
+
+    @pytest.mark.parametrize("seed", range(40))
+    def test_they_are_those_of_whole_least_squares_solutions(self, seed: int) -> None:
+        """Compute every gain from two dense solutions, also for the values without one of them."""
+        rng = np.random.default_rng(seed)
+        count = int(rng.integers(8, 32))
+        nights = np.sort(rng.choice(np.arange(1.5 * count), count))  # several runs in some nights
+        sigmas = rng.uniform(0.5, 2.0, count)
+        values = 0.1 * nights + sigmas * rng.normal(size=count)
+        for at in rng.choice(nights, int(rng.integers(1, 4))):
+            values += rng.normal(0.0, 8.0) * (nights >= at)
+        known = sorted(rng.choice(nights, int(rng.integers(0, 4))).tolist())
+        assert find_steps(nights, values, sigmas, known) == steps_of_dense_solutions(nights, values, sigmas, known)
 
     def test_known_steps_are_kept_where_they_can_be(self) -> None:
         assert find_steps([0.0, 1.0, 2.0, 3.0], [0.0, 0.0, 5.0, 5.0], np.ones(4), [2.0, 0.0]) == (2.0,)
