@@ -134,10 +134,10 @@ class OrderOptimiser:
             poses = self._pose(finder, before), self._pose(finder, after)
             starts, ends = self._last_locations(before), self._first_locations(after)
             key = (*poses, tuple(starts), tuple(ends))
-            if key not in finder.turning_estimates:
-                finder.turning_estimates[key] = finder.min_turning_seconds(poses[0], starts, poses[1], ends)
+            if key not in finder.known.turning_estimates:
+                finder.known.turning_estimates[key] = finder.min_turning_seconds(poses[0], starts, poses[1], ends)
             # If no waiting point before the turning artefact is free, the path leads by the park location.
-            found = finder.turning_estimates[key]
+            found = finder.known.turning_estimates[key]
             return found if math.isfinite(found) else PARK_DETOUR_S
 
         return seconds
