@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,32 @@ KIND = FullCalibration(sequential=True, slot_minutes=SLOT)
 REACHING = replace(KIND, target_vce_um=1e3)
 STATE = Path("state")
 AT_FOUND_BALLS = re.compile(r"/(repeat|via|away)-\d+|/ball-\d+/found")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def candidates_computed_once() -> Iterator[None]:
+    """What follows from the settings alone is computed in the first run of this file, and taken from there by all other
+    runs with equal settings: the candidates, their models and their times."""
+    known: dict[object, object] = {}
+
+    def once(name: str, compute: Callable[[SequentialCandidates], object]) -> cached_property[object]:
+        def found(candidates: SequentialCandidates) -> object:
+            job = candidates.job
+            settings = job.settings.model_dump(exclude={"procedure": {"position_set"}})  # a path; its positions count
+            key = (name, job.positions, repr(settings))
+            if key not in known:
+                known[key] = compute(candidates)
+            return known[key]
+
+        kept = cached_property(found)
+        kept.__set_name__(SequentialCandidates, name)
+        return kept
+
+    with pytest.MonkeyPatch.context() as patched:
+        for name in ("positions", "models", "_seconds_at_rest", "_tails"):
+            compute = vars(SequentialCandidates)[name].func
+            patched.setattr(SequentialCandidates, name, once(name, compute))
+        yield
 
 
 @pytest.fixture
