@@ -231,7 +231,7 @@ class TestRefusals:
         proved = sequential._Proof.minutes
         monkeypatch.setattr(sequential._Proof, "minutes", minutes)
         settings, machine = prepare_case(in_directory)
-        ended = machine.run(settings, kind=KIND)
+        ended = machine.run(settings, kind=REACHING)
         assert ended.error is None, ended.error
         keys = [key for key, _ in recorded(in_directory)]
         assert choices(in_directory)[0] == refused[0]
@@ -253,7 +253,7 @@ class TestRefusals:
     ) -> None:
         monkeypatch.setattr(sequential._Proof, "minutes", lambda *_: -1.0)
         settings, machine = prepare_case(in_directory)
-        ended = machine.run(settings, kind=KIND)
+        ended = machine.run(settings, kind=REACHING)
         assert isinstance(ended.error, GateRefused)
         assert "no position was measured" in str(ended.error)
         assert ended.outcome.state is RunState.REFUSED
@@ -275,7 +275,7 @@ class TestRefusals:
 
         monkeypatch.setattr(sequential, "measure_positions", measure)
         settings, machine = prepare_case(in_directory)
-        ended = machine.run(settings, kind=KIND)
+        ended = machine.run(settings, kind=REACHING)
         assert ended.error is None, ended.error
         keys = [key for key, _ in recorded(in_directory, "measure-")]
         assert len(set(gone)) == 1 and not any(f"/{gone[0]}/" in key for key in keys)
@@ -296,7 +296,7 @@ class TestRepeats:
     def run(directory: Path) -> tuple[RunResult, list[str]]:
         settings, machine = prepare_case(directory)
         temperature = settings.temperature.model_copy(update={"repeat_after_change_k": 0.0})
-        ended = machine.run(settings.model_copy(update={"temperature": temperature}), kind=KIND)
+        ended = machine.run(settings.model_copy(update={"temperature": temperature}), kind=REACHING)
         return ended, [key for key, _ in recorded(directory)]
 
     def test_they_are_proved_before_anything_moves(self, in_directory: Path) -> None:
