@@ -126,31 +126,33 @@ class OrderOptimiser:
         if path_rules is None:
             return lambda _, __: 0.0
         finder = path_rules.finder_for(self.layout)
+        # Each position is asked for in the pairs with all others.
+        first, last = cache(self._first_locations), cache(self._last_locations)
 
         @cache
         def seconds(before: Position, after: Position) -> float:
             if before == begin:
                 return 0.0
             poses = self._pose(finder, before), self._pose(finder, after)
-            starts, ends = self._last_locations(before), self._first_locations(after)
-            key = (*poses, tuple(starts), tuple(ends))
-            if key not in finder.turning_estimates:
-                finder.turning_estimates[key] = finder.min_turning_seconds(poses[0], starts, poses[1], ends)
+            starts, ends = last(before), first(after)
+            key = (*poses, starts, ends)
+            if key not in finder.known.turning_estimates:
+                finder.known.turning_estimates[key] = finder.min_turning_seconds(poses[0], starts, poses[1], ends)
             # If no waiting point before the turning artefact is free, the path leads by the park location.
-            found = finder.turning_estimates[key]
+            found = finder.known.turning_estimates[key]
             return found if math.isfinite(found) else PARK_DETOUR_S
 
         return seconds
 
-    def _last_locations(self, position: Position) -> list[TipLocation]:
+    def _last_locations(self, position: Position) -> tuple[TipLocation, ...]:
         probing = self.rules.probing
         away = point(probing.directions[-1])
-        return [TipLocation(ball, away, probing.contact_mm, touching=True) for ball in self._ends(position)]
+        return tuple(TipLocation(ball, away, probing.contact_mm, touching=True) for ball in self._ends(position))
 
-    def _first_locations(self, position: Position) -> list[TipLocation]:
+    def _first_locations(self, position: Position) -> tuple[TipLocation, ...]:
         probing = self.rules.probing
         out_mm = probing.contact_mm + probing.wide_search.approach_mm
-        return [TipLocation(ball, point(probing.directions[0]), out_mm) for ball in self._ends(position)]
+        return tuple(TipLocation(ball, point(probing.directions[0]), out_mm) for ball in self._ends(position))
 
     def _ends(self, position: Position) -> tuple[int, ...]:
         """Return the numbers of both end balls within reach; empty if too few balls are within reach."""

@@ -28,9 +28,14 @@ from twin.artefact.touch_pattern import QUALIFYING_RINGS, approach_directions, r
 from twin.collision.free_paths import AxisDynamics
 from twin.collision.measuring_layout import MeasuringLayout
 from twin.collision.probe_frame import ProbeFrame
+from twin.immutable import SharedValues
 from twin.machine.kinematic_chain import AXES
 from twin.machine.machine_description import MachineDescription
 from twin.units import MM_PER_UM
+
+# A service prepares the same machine again for each run and each preview. Which balls are accessible, and the paths
+# between them, are found once. A machine has two layouts, one of them with the touches of a qualification.
+_LAYOUTS: SharedValues[MeasuringLayout] = SharedValues(8)
 
 
 def probing_of(
@@ -116,7 +121,7 @@ def layout_of(
         below, above = below + across, above + across
     with translated(ConfigurationError):
         probe = settings.probe.geometry(float(tool_mm @ probing.stylus_axis))
-    return MeasuringLayout(
+    layout = MeasuringLayout(
         artefact=artefacts.all,
         mount=settings.mount,
         probe=probe,
@@ -134,6 +139,7 @@ def layout_of(
         ),
         placement=tolerance,
     )
+    return _LAYOUTS.shared(layout)
 
 
 def _placement_margin_mm(tolerance: PlacementTolerance, artefact: Artefact, probing: ProbingParameters) -> Array:

@@ -38,7 +38,7 @@ from twin.formats.estimate_file import (
 )
 from twin.identification import Estimate, Options, expected_rms, identify, identify_by_evidence, regional_forms
 from twin.identification.checks.measured_shape import check_shape
-from twin.identification.predicted import expected_vce, field_forms
+from twin.identification.predicted import FieldSums, expected_vce, field_forms, field_sums
 from twin.machine.error_model import ErrorModel
 from twin.machine.machine_description import MachineDescription
 from twin.machine.volumetric import QuadraticForm, evaluation_grid
@@ -126,13 +126,14 @@ def estimate_with_table(
     estimate = estimate_machine(machine, artefact, observations, options, order)
     model = estimate.model
     nodes, anchor = table_grid(model, table)
-    forms = field_forms(estimate, evaluation_grid(model.ranges_mm), offset)
+    sums = field_sums(estimate, evaluation_grid(model.ranges_mm), offset)
+    forms = sums.forms
     built = build_table(model, estimate.parameters, nodes, offset, anchor, observations.axis_positions)
     return EstimationResult(
         observations,
         estimate,
         volumetric_summary(estimate, offset, forms),
-        travel_parts(estimate, offset, observations.axis_positions),
+        travel_parts(estimate, offset, observations.axis_positions, sums),
         replace(built, machine=machine.name, artefact=artefact.name),
         ThermometerFacts.of(thermometer_effect(estimate, forms), thermometer),
     )
@@ -312,16 +313,17 @@ def _expected(value_mm: float, form: Array, estimate: Estimate, limits_um: tuple
     return Quantity(UM_PER_MM * value_mm, UM_PER_MM * uncertainty_mm, limits_um)
 
 
-def travel_parts(estimate: Estimate, tool_offset: Array, measured: Array) -> TravelParts:
+def travel_parts(estimate: Estimate, tool_offset: Array, measured: Array, sums: FieldSums | None = None) -> TravelParts:
     """Return the volumetric error inside and outside the region around the measured axis positions `measured` (n, 3) in
     mm, for a tool offset (3,) in mm.
 
     The region is the one outside which nodes of the compensation table count as extrapolated: the convex hull of the
-    measured positions with a margin of half a ball pitch. The grid is that of the volumetric error.
+    measured positions with a margin of half a ball pitch. The grid is that of the volumetric error. `sums` are the sums
+    of the error field over this grid; they are computed if they are None.
     """
     grid = evaluation_grid(estimate.model.ranges_mm)
     inside = MeasuredRegion.around(measured).contains(grid)
-    forms = regional_forms(estimate, grid, inside, tool_offset)
+    forms = regional_forms(estimate, grid, inside, tool_offset, sums)
     share = float(inside.mean())
     first, second = (
         None if form is None else _travel_part(estimate, form, part)

@@ -53,7 +53,7 @@ from twin.artefact.held_out_check import held_out_residuals
 from twin.artefact.observations import Observations
 from twin.compensation.table import Anchor, MeasuredRegion, Nodes, linear_corrections
 from twin.identification import Estimate, expected_rms, regional_forms, residual_covariance
-from twin.identification.predicted import field_forms
+from twin.identification.predicted import FieldSums, field_sums
 from twin.machine.forward_model import deviation_basis
 from twin.machine.volumetric import evaluation_grid
 from twin.units import UM_PER_MM
@@ -177,8 +177,15 @@ class _Design:
     def travel_errors_um(self) -> tuple[float, float]:
         """Rms volumetric errors in µm over the whole travel, after removal of the best-fitting rigid motion, that the
         table is expected to correct and to leave."""
-        grid = evaluation_grid(self.estimate.model.ranges_mm)
-        return self._errors_um(field_forms(self.estimate, grid, self.job.tool_offset_mm)[1])
+        return self._errors_um(self._sums.forms[1])
+
+    @cached_property
+    def _grid(self) -> Array:
+        return evaluation_grid(self.estimate.model.ranges_mm)
+
+    @cached_property
+    def _sums(self) -> FieldSums:
+        return field_sums(self.estimate, self._grid, self.job.tool_offset_mm)
 
     def _errors_um(self, form: Array) -> tuple[float, float]:
         """Return the rms volumetric errors in µm that the table is expected to correct and to leave, for a quadratic
@@ -209,8 +216,7 @@ class _Design:
         nodes, anchor = table_grid(model, self.job.settings.table)
         region = MeasuredRegion.around(self.planned.axis_positions)
         outside = ~region.contains(np.stack(np.meshgrid(*nodes, indexing="ij"), axis=-1).reshape(-1, 3))
-        grid = evaluation_grid(model.ranges_mm)
-        form = regional_forms(self.estimate, grid, region.contains(grid), offset)[1]
+        form = regional_forms(self.estimate, self._grid, region.contains(self._grid), offset, self._sums)[1]
         largest, steepest = self._largest_corrections(nodes, anchor)
         return (
             correction_gate(UM_PER_MM * largest, store_um, limits),

@@ -90,15 +90,15 @@ def full_calibration_vce_um(season: Season, night: int) -> float:
     reached = []
     for number in range(DRAWS):
         observations = simulated_observations(world, job, np.random.default_rng([season.seed, night, number]))
-        table = _calibrated_table(job, observations)
+        table = calibrated_table(job, observations, Options())
         reached.append(true_vce_with_table(world, image_of(table, world.controller.store_limits)))
     return float(np.mean(reached))
 
 
-def _calibrated_table(job: Job, observations: Observations) -> CompensationTable:
+def calibrated_table(job: Job, observations: Observations, options: Options) -> CompensationTable:
     """Return the compensation table of `estimate_for_job`, without its limits and figures, which take as long again."""
     settings = job.settings
-    estimate = estimate_machine(job.machine, job.artefact, observations, Options(), settings.identification.order)
+    estimate = estimate_machine(job.machine, job.artefact, observations, options, settings.identification.order)
     nodes, anchor = table_grid(estimate.model, settings.table)
     return build_table(
         estimate.model, estimate.parameters, nodes, job.tool_offset_mm, anchor, observations.axis_positions

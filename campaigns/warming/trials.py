@@ -41,7 +41,7 @@ from agent.execution.journal_reader import open_journal
 from agent.planning.case_file import CASE_STUDY, SHIPPED_CONFIGURATION
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
-from agent.results.estimation import estimate_for_job, identification_options
+from agent.results.estimation import identification_options
 from agent.results.table_image import image_of
 from agent.runs.kinds.calibrate import FullCalibration
 from agent.runs.run_context import RunHooks
@@ -50,7 +50,7 @@ from agent.settings.load import load_settings
 from agent.settings.schema import Settings
 from benchmarks.places import memory_directory, write_csv
 from campaigns.nights.play import build_rig
-from campaigns.nights.season import true_vce_with_table
+from campaigns.nights.season import calibrated_table, true_vce_with_table
 from campaigns.warming.figure import WarmingTrace, draw
 from campaigns.warming.row import WarmingRow
 from drivers.clock import VirtualClock
@@ -99,13 +99,14 @@ class WarmingRun:
         return self.world.truth.true_volumetric_error(self.world.controller.active_bank)[1]
 
 
-def compare_runs(seed: int) -> tuple[WarmingRow, WarmingTrace]:
+def compare_runs(seed: int, *, constant: bool = True) -> tuple[WarmingRow, WarmingTrace]:
     """Carry out the three calibrations of the random machine that `seed` gives: at 20 °C, at 23 °C, and while the
-    machine warms.
+    machine warms. Without `constant` that at 20 °C is left out, and the figures of it are NaN.
 
     Raises RuntimeError if a calibration fails or leaves no compensation table active.
     """
-    still, settled, warm = (run_calibration(seed, temperatures) for temperatures in (STILL, SETTLED, WARMING))
+    still = run_calibration(seed, STILL) if constant else None
+    settled, warm = (run_calibration(seed, temperatures) for temperatures in (SETTLED, WARMING))
     world, records = warm.world, warm.records
     late_um, bare_um = warm.true_um, world.truth.true_volumetric_error(None)[1]
     world.now = records[-1]["instant_s"]  # nothing moves any more: only the truth is read
@@ -119,14 +120,14 @@ def compare_runs(seed: int) -> tuple[WarmingRow, WarmingTrace]:
         machine_k=machine[-1] - machine[0],
         artefact_k=artefact[-1] - artefact[0],
         bare=bare_um,
-        constant=still.true_um,
+        constant=np.nan if still is None else still.true_um,
         settled=settled.true_um,
         warm=true_um,
         late=late_um,
         ratio=true_um / settled.true_um,
         undrifted=undrifted,
         untold=_vce_without_drift(warm, told=False),
-        predicted_constant=_predicted_um(still),
+        predicted_constant=np.nan if still is None else _predicted_um(still),
         predicted_settled=_predicted_um(settled),
         predicted_warm=_predicted_um(warm),
     )
@@ -201,8 +202,8 @@ def _vce_without_drift(run: WarmingRun, *, told: bool) -> float:
         tool_offsets=job.tool_offset_mm.reshape(1, 3),
     )
     options = identification_options(settings.identification, settings.temperature, None)
-    result = estimate_for_job(job, observations, options)
-    return true_vce_with_table(run.world, image_of(result.table, run.world.controller.store_limits))
+    table = calibrated_table(job, observations, options)
+    return true_vce_with_table(run.world, image_of(table, run.world.controller.store_limits))
 
 
 def verdict(rows: Sequence[WarmingRow]) -> dict[str, object]:

@@ -17,6 +17,10 @@ FieldOfMany = Callable[[Array], Array]
 
 ZERO: Point = (0.0, 0.0, 0.0)
 
+_CORNERS = np.array(list(np.ndindex(2, 2, 2)))
+"""Corners (8, 3) of a cell of a table: 1 at its upper end along X, Y and Z, 0 at its lower end."""
+_UPPER = _CORNERS == 1
+
 
 class TableField:
     """Correction that a controller adds to the commanded axis position, from a compensation table.
@@ -27,25 +31,23 @@ class TableField:
     def __init__(self, image: TableImage) -> None:
         self._origin = image.origin_mm
         self._step = image.step_mm
-        self._shape = image.shape
+        self._last = np.array(image.shape) - 1
         self._values = np.asarray(image.counts, dtype=np.float64) * image.resolution_mm
 
     def at_many(self, axis_positions: Array) -> Array:
         """Return the corrections, shape (n, 3), at n displayed axis positions, shape (n, 3), both in mm."""
-        # Trilinear interpolation: sum over the 8 cell corners of node value times product of the axis weights.
+        # Trilinear interpolation: sum over the 8 cell corners of node value times product of the axis weights. All
+        # corners at once: at a single position, which is the usual call, a loop over them takes three times as long.
         cell, share = self._located(axis_positions)
-        total = np.zeros_like(axis_positions)
-        for corner in np.ndindex(2, 2, 2):
-            side = np.array(corner)
-            index = np.minimum(cell + side, np.array(self._shape) - 1)
-            weight = np.where(side == 1, share, 1.0 - share).prod(axis=1)
-            total += weight[:, None] * self._values[index[:, 0], index[:, 1], index[:, 2]]
-        return total
+        index = np.minimum(cell[:, None, :] + _CORNERS, self._last)
+        share = share[:, None, :]
+        weights = np.where(_UPPER, share, 1.0 - share).prod(axis=2)
+        values = self._values[index[..., 0], index[..., 1], index[..., 2]]
+        return np.asarray((weights[:, :, None] * values).sum(axis=1))
 
     def _located(self, axis_positions: Array) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.intp]], Array]:
-        last = np.array(self._shape) - 1
-        steps = np.clip((axis_positions - self._origin) / self._step, 0.0, last)
-        cell = np.minimum(steps.astype(np.intp), np.maximum(last - 1, 0))
+        steps = np.clip((axis_positions - self._origin) / self._step, 0.0, self._last)
+        cell = np.minimum(steps.astype(np.intp), np.maximum(self._last - 1, 0))
         return cell, steps - cell
 
 

@@ -91,30 +91,39 @@ def test_the_measurement_follows_the_artefact_where_it_stands(state: Path) -> No
     ]
 
 
-@pytest.mark.parametrize(
-    ("gross", "said"),
-    [
-        ({"off_mm": [120.0, 0.0, 0.0]}, "ball"),
-        ({"off_mm": [0.0, -9.0, 0.0]}, "mm from its place"),
-        ({"off_mm": [0.0, 0.0, 10.0]}, "above the place"),
-        ({"off_mm": [0.0, 0.0, 40.0]}, "met it at the retreat plane"),  # the artefact reaches above that plane
-        ({"off_deg": 3.0}, "turned by"),
-        ({"off_deg": 40.0}, "ball"),
-        ({"off_deg": 120.0}, "ball"),
-        ({"off_deg": 180.0}, "ball"),
-    ],
+SHIFTED: tuple[tuple[dict[str, Any], str], ...] = (
+    ({"off_mm": [120.0, 0.0, 0.0]}, "ball"),
+    ({"off_mm": [0.0, -9.0, 0.0]}, "mm from its place"),
+    ({"off_mm": [0.0, 0.0, 10.0]}, "above the place"),
+    ({"off_mm": [0.0, 0.0, 40.0]}, "met it at the retreat plane"),  # the artefact reaches above that plane
 )
-def test_a_wrong_placement_is_refused_and_asked_for_again(state: Path, gross: dict[str, Any], said: str) -> None:
+TURNED: tuple[tuple[dict[str, Any], str], ...] = (
+    ({"off_deg": 3.0}, "turned by"),
+    ({"off_deg": 40.0}, "ball"),
+    ({"off_deg": 120.0}, "ball"),
+    ({"off_deg": 180.0}, "ball"),
+)
+
+
+@pytest.mark.parametrize("wrong", [SHIFTED, TURNED])
+def test_wrong_placements_are_refused_one_after_the_other_and_asked_for_again(
+    state: Path, wrong: tuple[tuple[dict[str, Any], str], ...]
+) -> None:
     night = Night()
-    ended_well(night, night.run(document(state, misplaced=[{"placement": 2, **gross}]), files=False))
+    misplaced = [{"placement": number, **gross} for number, (gross, _) in enumerate(wrong, start=2)]
+    settings = document(state, misplaced=misplaced)
+    settings["stations"]["placement_attempts"] = 1 + len(wrong)
+    ended_well(night, night.run(settings, files=False))
     run = stored_run(state)
-    [refused] = refusals(run)
-    assert said in refused
-    again = run.steps_of("AskOperator")[2]
-    assert again.key == f"measure/{SECOND}/place-2/by-hand"
-    request = again.detail["request"]
-    assert request["refused"] != ""
-    assert "The last placement was refused" in request["text"]
+    found = refusals(run)
+    assert len(found) == len(wrong)
+    for refused, (_, said) in zip(found, wrong, strict=True):
+        assert said in refused
+    for number, again in enumerate(run.steps_of("AskOperator")[2 : 2 + len(wrong)], start=2):
+        assert again.key == f"measure/{SECOND}/place-{number}/by-hand"
+        request = again.detail["request"]
+        assert request["refused"] != ""
+        assert "The last placement was refused" in request["text"]
 
 
 class NobodyPlaces:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,32 @@ KIND = FullCalibration(sequential=True, slot_minutes=SLOT)
 REACHING = replace(KIND, target_vce_um=1e3)
 STATE = Path("state")
 AT_FOUND_BALLS = re.compile(r"/(repeat|via|away)-\d+|/ball-\d+/found")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def candidates_computed_once() -> Iterator[None]:
+    """What follows from the settings alone is computed in the first run of this file, and taken from there by all other
+    runs with equal settings: the candidates, their models and their times."""
+    known: dict[object, object] = {}
+
+    def once(name: str, compute: Callable[[SequentialCandidates], object]) -> cached_property[object]:
+        def found(candidates: SequentialCandidates) -> object:
+            job = candidates.job
+            settings = job.settings.model_dump(exclude={"procedure": {"position_set"}})  # a path; its positions count
+            key = (name, job.positions, repr(settings))
+            if key not in known:
+                known[key] = compute(candidates)
+            return known[key]
+
+        kept = cached_property(found)
+        kept.__set_name__(SequentialCandidates, name)
+        return kept
+
+    with pytest.MonkeyPatch.context() as patched:
+        for name in ("positions", "models", "_seconds_at_rest", "_tails"):
+            compute = vars(SequentialCandidates)[name].func
+            patched.setattr(SequentialCandidates, name, once(name, compute))
+        yield
 
 
 @pytest.fixture
@@ -204,7 +231,7 @@ class TestRefusals:
         proved = sequential._Proof.minutes
         monkeypatch.setattr(sequential._Proof, "minutes", minutes)
         settings, machine = prepare_case(in_directory)
-        ended = machine.run(settings, kind=KIND)
+        ended = machine.run(settings, kind=REACHING)
         assert ended.error is None, ended.error
         keys = [key for key, _ in recorded(in_directory)]
         assert choices(in_directory)[0] == refused[0]
@@ -226,7 +253,7 @@ class TestRefusals:
     ) -> None:
         monkeypatch.setattr(sequential._Proof, "minutes", lambda *_: -1.0)
         settings, machine = prepare_case(in_directory)
-        ended = machine.run(settings, kind=KIND)
+        ended = machine.run(settings, kind=REACHING)
         assert isinstance(ended.error, GateRefused)
         assert "no position was measured" in str(ended.error)
         assert ended.outcome.state is RunState.REFUSED
@@ -248,7 +275,7 @@ class TestRefusals:
 
         monkeypatch.setattr(sequential, "measure_positions", measure)
         settings, machine = prepare_case(in_directory)
-        ended = machine.run(settings, kind=KIND)
+        ended = machine.run(settings, kind=REACHING)
         assert ended.error is None, ended.error
         keys = [key for key, _ in recorded(in_directory, "measure-")]
         assert len(set(gone)) == 1 and not any(f"/{gone[0]}/" in key for key in keys)
@@ -269,7 +296,7 @@ class TestRepeats:
     def run(directory: Path) -> tuple[RunResult, list[str]]:
         settings, machine = prepare_case(directory)
         temperature = settings.temperature.model_copy(update={"repeat_after_change_k": 0.0})
-        ended = machine.run(settings.model_copy(update={"temperature": temperature}), kind=KIND)
+        ended = machine.run(settings.model_copy(update={"temperature": temperature}), kind=REACHING)
         return ended, [key for key, _ in recorded(directory)]
 
     def test_they_are_proved_before_anything_moves(self, in_directory: Path) -> None:

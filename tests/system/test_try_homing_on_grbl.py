@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from volcal_command import volcal, volcal_json
 
 from agent.execution.journal_reader import open_journal
 
@@ -84,9 +85,9 @@ def machine(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, di
 def test_grbl_homes_and_the_plan_counts_what_was_measured(machine: tuple[Path, dict[str, Any]]) -> None:
     directory, ready = machine
     config = settings(directory, ready, "grbl", GRBL.format(**ready["serial"]))
-    before = json.loads(called(config, "plan", "--json").stdout)
+    before = volcal_json("plan", "--config", config)
     assert before["after_homing"] is None
-    assert "not known; volcal try --homing 5 measures the scatter" in called(config, "plan").stdout
+    assert "not known; volcal try --homing 5 measures the scatter" in volcal("plan", "--config", config).stdout
     tried = called(config, "try", "--homing", "4", "--json")
     assert tried.returncode == 0, tried.stderr
     homing = json.loads(tried.stdout)["trial"]["homing"]
@@ -94,12 +95,13 @@ def test_grbl_homes_and_the_plan_counts_what_was_measured(machine: tuple[Path, d
     for sigma, (low, high), true in zip(homing["sigma_um"], homing["limits_um"], SIGMA_UM, strict=True):
         assert low <= true <= high
         assert low < sigma < high
-    planned = json.loads(called(config, "plan", "--json").stdout)
+    planned = volcal_json("plan", "--config", config)
     after = planned["after_homing"]
     assert after["sigma_um"] == homing["sigma_um"]
     assert after["ve_without_um"] == planned["predicted_vce_um"] == before["predicted_vce_um"]
     assert after["ve_um"] > after["ve_without_um"]
-    assert f"work offsets kept over it: {after['offset_um']:.1f} µm rms more" in called(config, "plan").stdout
+    text = f"work offsets kept over it: {after['offset_um']:.1f} µm rms more"
+    assert text in volcal("plan", "--config", config).stdout
 
 
 def test_modbus_refuses_in_plain_words_before_anything_moves(machine: tuple[Path, dict[str, Any]]) -> None:
@@ -119,6 +121,5 @@ def test_modbus_refuses_in_plain_words_before_anything_moves(machine: tuple[Path
 @pytest.mark.parametrize("count", ["2", "31", "x"])
 def test_too_few_or_too_many_homings_are_refused(machine: tuple[Path, dict[str, Any]], count: str) -> None:
     directory, ready = machine
-    ended = called(settings(directory, ready, "count", GRBL.format(**ready["serial"])), "try", "--homing", count)
-    assert ended.returncode == 2
-    assert "--homing" in ended.stderr
+    config = settings(directory, ready, "count", GRBL.format(**ready["serial"]))
+    assert "--homing" in volcal("try", "--homing", count, "--config", config, exit_code=2).stderr

@@ -65,7 +65,7 @@ def field_uncertainty(
     moments = _second_moments(estimate)
     grid = at if aligned_over is None else as_points(aligned_over, "points of the alignment")
     motions = _motions_about(grid, offset)
-    carried = np.zeros((6, len(moments))) if aligned_over is None else _sums(estimate, grid, offset).share
+    carried = np.zeros((6, len(moments))) if aligned_over is None else field_sums(estimate, grid, offset).share
     squares = np.empty_like(at)
     for start in range(0, len(at), _CHUNK):
         chunk = at[start : start + _CHUNK]
@@ -87,7 +87,7 @@ def residual_covariance(
     field = field_columns(estimate, at, offset)
     if aligned_over is not None:
         grid = as_points(aligned_over, "points of the alignment")
-        field = field - _motions_about(grid, offset)(at) @ _sums(estimate, grid, offset).share
+        field = field - _motions_about(grid, offset)(at) @ field_sums(estimate, grid, offset).share
     columns = field.reshape(-1, len(moments))
     return np.asarray(columns @ moments @ columns.T) + unresolved_variance(estimate) * np.eye(len(columns))
 
@@ -117,14 +117,15 @@ def field_forms(estimate: FieldKnowledge, points: Array, offset: Array) -> tuple
     The forms apply to a vector of the p parameters followed by the q coefficients of the misfit. The first form is for
     the field as it is. The second form is for the field after the best-fitting rigid motion has been removed.
     """
-    sums = _sums(estimate, points, offset)
-    # remove the best rigid motion G: FᵀF - FᵀG (GᵀG)⁻¹ GᵀF
-    rigid = sums.shared.T @ sums.share
-    return sums.field / len(points), (sums.field - 0.5 * (rigid + rigid.T)) / len(points)
+    return field_sums(estimate, points, offset).forms
 
 
 def regional_forms(
-    estimate: FieldKnowledge, points: ArrayLike, inside: NDArray[np.bool_], tool_offset: ArrayLike
+    estimate: FieldKnowledge,
+    points: ArrayLike,
+    inside: NDArray[np.bool_],
+    tool_offset: ArrayLike,
+    sums: FieldSums | None = None,
 ) -> tuple[Array | None, Array | None]:
     """Return two quadratic forms (p + q, p + q) in mm² that give the mean square of the error field of `estimate` in
     two parts of the workspace: over those axis positions (n, 3) for which the mask `inside` (n,) is True, and over the
@@ -132,11 +133,13 @@ def regional_forms(
 
     As in `field_forms`, the forms apply to the p parameters followed by the q coefficients of the misfit. The rigid
     motion that fits the field best over all n axis positions is removed first. Therefore the mean square over all
-    positions is the mean of the two forms, weighted by the numbers of positions.
+    positions is the mean of the two forms, weighted by the numbers of positions. `sums` are those that `field_sums`
+    returns for all n axis positions; they are computed if they are None.
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
-    whole = field_forms(estimate, grid, offset)[1]
-    motions, share = _motions_about(grid, offset), _sums(estimate, grid, offset).share
+    sums = field_sums(estimate, grid, offset) if sums is None else sums
+    whole = sums.forms[1]
+    motions, share = _motions_about(grid, offset), sums.share
     count, fewer = len(grid), bool(2 * inside.sum() <= len(grid))
     part = grid[inside if fewer else ~inside]
     gram = np.zeros_like(whole)
@@ -158,8 +161,9 @@ def expected_rms(estimate: FieldKnowledge, form: Array) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class _Sums:
-    """Sums, over a grid, of products of the columns F of the error field and the fields G of the rigid motions.
+class FieldSums:
+    """Sums, over a grid of `count` points, of products of the columns F of the error field and the fields G of the
+    rigid motions.
 
     `field` is FᵀF, `shared` is GᵀF, and `motion` is GᵀG.
     """
@@ -167,6 +171,14 @@ class _Sums:
     field: Array
     shared: Array
     motion: Array
+    count: int
+
+    @property
+    def forms(self) -> tuple[Array, Array]:
+        """Quadratic forms that `field_forms` returns."""
+        # remove the best rigid motion G: FᵀF - FᵀG (GᵀG)⁻¹ GᵀF
+        rigid = self.shared.T @ self.share
+        return self.field / self.count, (self.field - 0.5 * (rigid + rigid.T)) / self.count
 
     @property
     def share(self) -> Array:
@@ -174,7 +186,9 @@ class _Sums:
         return np.asarray(np.linalg.lstsq(self.motion, self.shared, rcond=1e-12)[0])
 
 
-def _sums(estimate: FieldKnowledge, grid: Array, offset: Array) -> _Sums:
+def field_sums(estimate: FieldKnowledge, grid: Array, offset: Array) -> FieldSums:
+    """Return the sums of the error field of `estimate` over the axis positions `grid` (n, 3) in mm, for a tool offset
+    (3,) in mm. All quadratic forms over this grid follow from them."""
     motions = _motions_about(grid, offset)
     sums = GridQuadrature.for_points(grid, _degrees(estimate))
     size = len(_second_moments(estimate))
@@ -187,7 +201,7 @@ def _sums(estimate: FieldKnowledge, grid: Array, offset: Array) -> _Sums:
         field_sum += field.T @ field
         shared += rigid.T @ field
         motion += rigid.T @ rigid
-    return _Sums(field_sum, shared, motion)
+    return FieldSums(field_sum, shared, motion, len(grid))
 
 
 def _degrees(estimate: FieldKnowledge) -> tuple[int, int, int]:

@@ -10,9 +10,9 @@ the measured location of the artefact.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import product
 
 import numpy as np
@@ -43,6 +43,7 @@ from twin.collision.geometry import Point, point
 from twin.collision.measuring_layout import MeasuringLayout
 from twin.collision.motion_law import travel_times
 from twin.collision.swept_volume import CELL_MM
+from twin.immutable import content_key
 
 UNCERTAINTY_STEPS_MM = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """Values in mm to which the uncertainty of a pose is rounded up, so that cached paths can be reused."""
@@ -96,20 +97,45 @@ class FreePathRules:
 
 
 @dataclass(frozen=True, eq=False)
+class KnownPaths:
+    """Paths and lower bounds of times that have been found for one layout and one set of rules. Each depends on its key
+    alone, so all runs of the process share them."""
+
+    paths: dict[object, FreePath | None] = field(default_factory=dict)
+    turning_estimates: dict[object, float] = field(default_factory=dict)
+
+
+@lru_cache(maxsize=8)
+def _known_paths(layout: MeasuringLayout, rules: Hashable) -> KnownPaths:
+    return KnownPaths()
+
+
+@lru_cache(maxsize=8)
+def _bodies(layout: MeasuringLayout, turn_clearance_mm: float) -> ArtefactBodies:
+    return ArtefactBodies(layout, turn_clearance_mm)
+
+
+@dataclass(frozen=True, eq=False)
 class FreePathFinder:
     """Finder of collision-free (free) paths of the stylus tip. It stores every path it has found, because each station
-    and each verification needs the same paths."""
+    and each verification needs the same paths.
+
+    Paths past a turning artefact are found anew in each run: which one is found depends on the limits of the time with
+    which it was asked for before.
+    """
 
     layout: MeasuringLayout
     rules: FreePathRules
-    turning_estimates: dict[object, float] = field(default_factory=dict, init=False, repr=False)
     sequences: dict[object, list[int]] = field(default_factory=dict, init=False, repr=False)
-    _paths: dict[object, FreePath | None] = field(default_factory=dict, init=False, repr=False)
     _turning_paths: dict[object, TurningPath | None] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
+    def known(self) -> KnownPaths:
+        return _known_paths(self.layout, content_key(self.rules))
+
+    @cached_property
     def bodies(self) -> ArtefactBodies:
-        return ArtefactBodies(self.layout, self.rules.clearance_mm + self.rules.unaligned_uncertainty_mm)
+        return _bodies(self.layout, self.rules.clearance_mm + self.rules.unaligned_uncertainty_mm)
 
     def pose_at(self, station: int, azimuth_deg: float, elevation_deg: float) -> ArtefactPose:
         across = self.layout.across_stations(self.layout.location(station))
@@ -159,9 +185,9 @@ class FreePathFinder:
         along_range: tuple[float, float],
     ) -> FreePath | None:
         key = (pose, start, end, uncertainty_mm, along_range)
-        if key not in self._paths:
-            self._paths[key] = self._search_path(*key)
-        return self._paths[key]
+        if key not in self.known.paths:
+            self.known.paths[key] = self._search_path(*key)
+        return self.known.paths[key]
 
     def straight_seconds(self, pose: ArtefactPose, starts: Sequence[TipLocation], ends: Sequence[TipLocation]) -> Array:
         """Return the times in s of the straight paths from each of n starts to each of m ends, as an array of shape (n,
@@ -370,9 +396,9 @@ class FreePathFinder:
         The reversed path leads from the waiting point to the ball.
         """
         key = (pose, location, waiting_point)
-        if key not in self._paths:
-            self._paths[key] = self._search_path_to_point(*key)
-        return self._paths[key]
+        if key not in self.known.paths:
+            self.known.paths[key] = self._search_path_to_point(*key)
+        return self.known.paths[key]
 
     def _search_path_to_point(self, pose: ArtefactPose, location: TipLocation, waiting_point: Point) -> FreePath | None:
         clearance_mm = self.rules.clearance_mm + self.rules.unaligned_uncertainty_mm

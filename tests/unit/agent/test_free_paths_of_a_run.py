@@ -21,7 +21,7 @@ from twin.artefact.mount_geometry import MountGeometry
 from twin.artefact.position_set import Position
 from twin.collision.accessibility import measuring_scene
 from twin.collision.collision import Scene
-from twin.collision.free_paths import AxisDynamics
+from twin.collision.free_paths import AxisDynamics, FreePath
 from twin.collision.geometry import point
 from twin.collision.measuring_layout import MeasuringLayout
 from twin.collision.probe_frame import ProbeFrame
@@ -117,6 +117,19 @@ def test_a_path_is_sought_once_and_serves_every_station() -> None:
     )
     assert one is not None
     assert one is other
+
+
+def test_runs_with_the_same_layout_and_rules_share_their_paths_and_others_do_not() -> None:
+    layout = path_finder().layout
+    start, end = before_the_ball(2), before_the_ball(7)
+
+    def found(clearance_mm: float) -> FreePath | None:
+        finder = FreePathRules(LOWER, UPPER, DYNAMICS, clearance_mm, KNOWN_MM, UNKNOWN_MM).finder_for(layout)
+        return finder.path_between(finder.pose_at(1, 45.0, 0.0), start, end, KNOWN_MM, 1)
+
+    assert found(CLEARANCE_MM) is not None
+    assert found(CLEARANCE_MM) is found(CLEARANCE_MM)
+    assert found(40.0) != found(CLEARANCE_MM)
 
 
 def test_a_path_keeps_more_room_if_the_artefact_may_be_further_off() -> None:

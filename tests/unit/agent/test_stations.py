@@ -39,6 +39,14 @@ def without_artefacts(document: dict[str, Any]) -> None:
     document["stations"]["standing_at"] = 1
 
 
+def test_jobs_of_the_same_machine_share_what_was_found_out_about_its_layout() -> None:
+    def higher(document: dict[str, Any]) -> None:
+        document["stations"]["places_mm"][0][2] += 1.0
+
+    assert two_mounts().layout is two_mounts().layout
+    assert two_mounts(higher).layout is not two_mounts().layout
+
+
 @pytest.mark.parametrize(
     ("change", "key", "said"),
     [
