@@ -49,7 +49,7 @@ from twin.units import S_PER_MIN
 SLOTS_MIN = (6.0, 8.0, 10.0, 12.3, 16.0)
 WAYS = ("centres", "one touch", "two touches", "any of these", "any, or chosen touches")
 _TOUCH = re.compile(r"(.*/ball-\d+)/touch-(\d+)(.*)")
-_FREE_POSE = 1e3  # standard deviation of the pose in mm, so large that the touches alone determine it
+_FREE_POSE = 0.3  # standard deviation of the pose in mm in the choice of touches: rounding then stays below 1e-4
 _ROUNDS = 2  # of chosen touches: the second with the knowledge that a set of the first gives
 _RANK_TOLERANCE = 1e-9
 
@@ -144,11 +144,14 @@ class TouchRows:
         asked = self.present & self.fixed
         carried = covariance @ form @ covariance
         for number in range(len(asked)):
-            rows, poses = self.rows[number], self.poses[number]
+            poses = self.poses[number]
+            # A pose is free, so the rigid part of a field changes nothing; without it, rounding stays small.
+            rows = self.rows[number] - poses @ np.linalg.lstsq(poses, self.rows[number], rcond=None)[0]
             # R = A C A' + B κ² B' + 1 of the touches that are not made, given those that are; G = A C Q C A'
             spread = rows @ covariance @ rows.T + _FREE_POSE**2 * poses @ poses.T + np.eye(len(rows))
             weight = rows @ carried @ rows.T
-            made, best = list(np.flatnonzero(asked[number])), list(np.flatnonzero(asked[number]))
+            made: list[int] = np.flatnonzero(asked[number]).tolist()
+            best = list(made)
             seconds = float(fixed_s[number])
             inverse = np.linalg.inv(spread[np.ix_(made, made)])
             gain = float(np.vdot(inverse, weight[np.ix_(made, made)]))
