@@ -150,8 +150,7 @@ class TouchRows:
             # R = A C A' + B κ² B' + 1 of the touches that are not made, given those that are; G = A C Q C A'
             spread = rows @ covariance @ rows.T + _FREE_POSE**2 * poses @ poses.T + np.eye(len(rows))
             weight = rows @ carried @ rows.T
-            made: list[int] = np.flatnonzero(asked[number]).tolist()
-            best = list(made)
+            made = best = np.flatnonzero(asked[number])
             seconds = float(fixed_s[number])
             inverse = np.linalg.inv(spread[np.ix_(made, made)])
             gain = float(np.vdot(inverse, weight[np.ix_(made, made)]))
@@ -171,12 +170,12 @@ class TouchRows:
                 beside = np.isin(self.ball[number][left], self.ball[number][made])
                 took = np.where(beside, more_s, first_s)
                 pick = int(np.argmax(more / took))
-                made.append(int(left[pick]))
+                made = np.append(made, left[pick])
                 seconds += float(took[pick])
                 gain += float(more[pick])
                 inverse = np.linalg.inv(spread[np.ix_(made, made)])
                 if gain / seconds > most:
-                    most, best = gain / seconds, list(made)
+                    most, best = gain / seconds, made
             asked[number, best] = True
         return asked
 
