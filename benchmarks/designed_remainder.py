@@ -62,7 +62,7 @@ _OVERRUN = 0.3  # share of the slot by which estimated minutes may exceed it; th
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ChoiceOutcome:
     """Result of one calibration: number and minutes of the positions, true and predicted VCE in µm, and the longest
     time of a choice in s."""
 
@@ -80,7 +80,7 @@ class ChoiceComparison:
     candidates: SequentialCandidates
     slot_min: float
 
-    def outcome(self, machine: RandomMachine, seen: Observations, way: str) -> Outcome:
+    def outcome(self, machine: RandomMachine, seen: Observations, way: str) -> ChoiceOutcome:
         """Return the result of a calibration of `machine`, of whose candidates `seen` are the measurements."""
         chosen, choice_s = self._path(seen, way)
         job, positions = self.candidates.job, self.candidates.positions
@@ -91,7 +91,7 @@ class ChoiceComparison:
         estimate = identify_by_evidence(lambda n: job.machine.with_order(n).family, measured, job.artefact, options)
         grid, offset = evaluation_grid(job.machine.model.ranges_mm, _GRID), job.tool_offset_mm
         left = machine.truth.deviation(grid) - exact_deviation(estimate.model, grid, offset, estimate.parameters)
-        return Outcome(
+        return ChoiceOutcome(
             positions=len(kept),
             minutes=float(ends[len(kept) - 1]),
             true_um=UM_PER_MM * volumetric_error(grid + offset, left).aligned_mm,
@@ -184,7 +184,7 @@ def main(arguments: Sequence[str] = ()) -> None:
         alone, together = minutes_of_both(comparison.candidates, count)
         print(f"{count} positions: {alone:.2f} min one by one, {together:.2f} min as a set", flush=True)
     planned = job.procedure.plan(comparison.candidates.positions).observations
-    every: dict[str, list[Outcome]] = {GREEDY: [], REMAINDER: []}
+    every: dict[str, list[ChoiceOutcome]] = {GREEDY: [], REMAINDER: []}
     for number in range(asked.first, asked.first + asked.machines):
         rng = generator(asked.seed, number)
         form = DEFLECTION_FORMS[number % len(DEFLECTION_FORMS)]
