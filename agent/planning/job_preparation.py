@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,7 +27,9 @@ from agent.settings.load import POSITION_FILES
 from agent.settings.schema import Settings
 from agent.thermal.rules import drift_limits_of, settling_of
 from drivers.errors import ConfigurationError
+from twin.arrays import Array
 from twin.artefact.position_set import MIN_BALLS, Position, parse_position_set
+from twin.collision.geometry import point
 from twin.collision.locating_balls import depth_in_table_mm, locating_balls
 from twin.collision.measuring_layout import MeasuringLayout
 from twin.collision.probe_frame import ProbeFrame
@@ -83,6 +85,29 @@ def prepare_job(settings: Settings, base: Path) -> Job:
     if settings.procedure.position_set.endswith(POSITION_FILES):
         _refuse_unreachable_entry(job)
     return replace(job, held_out_choice=_held_out_choice(job))
+
+
+def with_places(job: Job, places_mm: Mapping[int, Array]) -> Job:
+    """Return `job` with its stations at other places along their axis. `places_mm` maps the number of each station to
+    its place (3,) in mm. The positions of the job are not checked again."""
+    stations = job.settings.stations.model_copy(
+        update={"places_mm": [point(places_mm[number]) for number in sorted(places_mm)]}
+    )
+    settings = job.settings.model_copy(update={"stations": stations})
+    layout = job.layout.with_locations(places_mm)
+    retreat = retreat_of(layout, stations, settings.procedure, settings.timing, job.machine)
+    moved = replace(
+        job,
+        settings=settings,
+        layout=layout,
+        preparation=replace(job.preparation, layout=job.preparation.layout.with_locations(places_mm)),
+        rules=replace(
+            job.rules,
+            retreat=retreat,
+            consistency=ball_consistency(settings, job.machine, layout, job.rules.probing),
+        ),
+    )
+    return replace(moved, held_out_choice=_held_out_choice(moved))
 
 
 def prepare_layout(settings: Settings) -> MeasuringLayout:

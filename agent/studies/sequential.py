@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import islice
 
 import numpy as np
 
@@ -262,8 +263,8 @@ def _task(case: StudyCase, candidates: SequentialCandidates, designs: Sequence[D
         first += len(one.positions)
     start = candidates.nothing_seen()
     form, chosen = start.model.candidates, case.job.settings.identification
-    seconds = _seconds(candidates)
-    greedy = _greedy(candidates.positions, start, seconds, max(TARGET_COUNTS))
+    first_chosen = islice(candidates.sequence(None), max(TARGET_COUNTS))
+    greedy = [candidates.positions.index(position) for position in first_chosen]
     targets = [_LIMIT_OVER_EXPECTED * UM_PER_MM * form.vce(greedy[:count]).aligned_mm for count in TARGET_COUNTS]
     return SequentialStudyTask(
         job=case.job,
@@ -271,7 +272,7 @@ def _task(case: StudyCase, candidates: SequentialCandidates, designs: Sequence[D
         start=start,
         candidates=candidates.positions,
         planned=planned.observations,
-        seconds=seconds,
+        seconds=_seconds(candidates),
         sets={NAMED: listed.prefixes(len(candidates.positions)), DESIGNED: tuple(designed)},
         limit_s=S_PER_MIN * max(listed.minutes[-1], _LONGEST_MIN),
         targets_um=tuple(targets),
@@ -358,21 +359,6 @@ def _shortest_minutes(job: Job, candidates: CandidatePositions) -> Array:
 def _seconds(candidates: SequentialCandidates) -> Array:
     standing = [*(standing_in(position) for position in candidates.positions), None]
     return np.array([candidates.seconds(one, LEAST_CARRY_MIN) for one in standing])
-
-
-def _greedy(positions: Sequence[Position], start: PositionsSeen, seconds: Array, count: int) -> tuple[int, ...]:
-    """Return the first `count` candidates in the order of falling gain per second, as they are chosen before anything
-    is measured."""
-    state, chosen = start, list[int]()
-    while len(chosen) < count:
-        allowed = np.ones(len(positions), dtype=bool)
-        allowed[chosen] = False
-        ranked = ranked_choices(state, seconds[chosen[-1] if chosen else -1], allowed)
-        if not ranked.size:
-            break
-        chosen.append(int(ranked[0]))
-        state = state.planned(chosen[-1])
-    return tuple(chosen)
 
 
 COLUMNS = (

@@ -80,6 +80,27 @@ def test_a_target_is_kept_and_the_search_for_an_artefact_shows_every_way():
     assert said["rehearsed"] is False
 
 
+def test_free_stations_are_places_that_plan_takes_and_values_alike():
+    asked = ("design", "--case", "bridge", "--positions", "3", *COARSE, "--out", "set.csv")
+    free = volcal_json(*asked, "--free-stations")
+    assert free["rehearsed"] is True
+    assert str(free["places_mm"]) not in (CONFIG / "bridge.toml").read_text()
+    text = (CONFIG / "bridge.toml").read_text()
+    for folder in ("machines", "artefacts"):
+        text = text.replace(f'"{folder}/', f'"{CONFIG}/{folder}/')
+    lines = [f"places_mm = {free['places_mm']}" if line.startswith("places_mm") else line for line in text.splitlines()]
+    Path("settings.toml").write_text("\n".join(lines))
+    plan = volcal_json("plan", "--config", "settings.toml", "--position-set", "set.csv", exit_code=None)
+    assert plan["machine_minutes"] == free["machine_minutes"]
+    assert plan["predicted_vce_um"] == pytest.approx(free["expected_vce_um"], rel=2e-2)
+
+
+def test_stations_with_a_mount_of_their_own_are_not_moved():
+    code, line = refused("design", "--case", "two-mounts", "--positions", "3", *COARSE, "--free-stations")
+    assert code == 2
+    assert "each of them has a mount of its own" in line
+
+
 def test_people_are_shown_what_a_machine_reads():
     result = volcal("design", *CASE, "--positions", "3", "--verify-set", *COARSE)
     for words in ("valuation", "S3 of the settings", "passed: no collision", "positions_deg = [[", "design.csv"):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -98,6 +98,15 @@ class MeasuringLayout:
         has no limits in this direction.
         """
         return station_axis_of(self.frame, list(self.locations_mm.values()), self.upper_mm - self.lower_mm)
+
+    def with_locations(self, locations_mm: Mapping[int, Array]) -> MeasuringLayout:
+        """Return the layout with the stations at other places along `station_axis`. What is accessible does not depend
+        on them unless there are `neighbours`, so it is not computed again."""
+        moved = replace(self, locations_mm=locations_mm)
+        if not self.neighbours:
+            moved._accessible.update(self._accessible)
+            moved._elevations.update(self._elevations)
+        return moved
 
     def across_stations(self, location_mm: Array) -> Point:
         """Return the location (3,) of a mount in mm with the coordinate 0 along the station axis."""

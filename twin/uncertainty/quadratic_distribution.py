@@ -37,6 +37,7 @@ _NEGATIVE_TOLERANCE = 1e-9  # negative eigenvalue, relative to the largest, that
 _BENDS = (0.05, 0.02, 0.005, 0.001)  # curvatures of the path in widths of the saddle; the first usable one is taken
 _MIN_EXPONENT = -37.0  # exponent relative to the saddle below which a term is negligible
 _MAX_PHASE_STEP = 0.7  # largest phase change in rad from one term to the next
+_UNDERFLOW = -745.0  # logarithm of the smallest number: a tail below it is zero
 _HINT = "use the covariance of an estimate exactly as it was written"
 
 Complex = np.ndarray[Any, np.dtype[np.complex128]]
@@ -179,6 +180,8 @@ class QuadraticDistribution:
         generating function. All singularities of K lie on the real axis to the right of the saddle, and the parabola
         passes around them for any bend. The first bend along which the terms decay is used.
         """
+        if upper and self._chernoff_exponent(above) < _UNDERFLOW:
+            return 0.0  # the saddle would be a pole to within rounding
         sign = 1.0 if upper else -1.0
         saddle = self._upper_saddle(above) if upper else self._lower_saddle(above)
         width = 1.0 / math.sqrt(self._curvature(saddle))
@@ -190,6 +193,13 @@ class QuadraticDistribution:
                 # part of the upper half is summed: dv/π times the sum.
                 return min(max(math.exp(top) * _STEP * width / math.pi * total, 0.0), 1.0)
         raise DataError("the distribution of this quadratic form cannot be integrated", hint=_HINT)
+
+    def _chernoff_exponent(self, above: float) -> float:
+        """Return an upper bound of the logarithm of P(Q - c₀ > above): K(s) - s above (Chernoff) halfway to the nearest
+        pole, at s = 1 / (4 λ) for the largest weight λ."""
+        half = 0.5 * self.weights / self.weights.max()
+        cumulants = 0.5 * (self.shifts**2 * half / (1.0 - half) - np.log1p(-half)).sum()
+        return float(cumulants - 0.25 * above / self.weights.max())
 
     def _sum_along(self, path: _Path, above: float, sign: float) -> float | None:
         """Return the sum of the integrand in units of its value at the saddle point.

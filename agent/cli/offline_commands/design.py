@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,13 @@ if will_run():
     from agent.files import translated
     from agent.planning.case_file import load_case
     from agent.planning.design.design_files import check_target, write_design
-    from agent.planning.design.design_result import DesignResult, VariantDesign, compare_variants
+    from agent.planning.design.design_result import (
+        DesignResult,
+        VariantDesign,
+        compare_variants,
+        refuse_fixed_stations,
+        with_free_stations,
+    )
     from agent.planning.design.pareto_figure import ReferenceSet
     from agent.planning.design.set_valuation import valuation_of
     from agent.planning.design.variants import BALL_SHARES, variants_of
@@ -35,6 +41,7 @@ if will_run():
     from agent.settings.load import naming
     from drivers.clock import wall_seconds
     from drivers.errors import InputError, UserError
+    from twin.arrays import Array
     from twin.artefact.position_set import Position
     from twin.design.goals import Goal, PositionCountGoal, TargetErrorGoal, TimeSlotGoal
 
@@ -82,6 +89,11 @@ def _minutes(_: click.Context, __: click.Parameter, text: str | None) -> float |
 @click.option(
     "--choose-balls", is_flag=True, help="Also choose the share of the balls that is measured in each position."
 )
+@click.option(
+    "--free-stations",
+    is_flag=True,
+    help="Also choose the places of the stations along their axis; the mount is carried.",
+)
 @click.option("--verify-set", is_flag=True, help="Also choose held-out positions for the verification.")
 @click.option("--out", type=PATH, default=Path("design.csv"), show_default=True, metavar="FILE.csv")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end.")
@@ -101,6 +113,7 @@ def design_command(
     balls: list[int],
     theta_deg: list[float],
     choose_balls: bool,
+    free_stations: bool,
     verify_set: bool,
     out: Path,
     as_json: bool,
@@ -112,6 +125,8 @@ def design_command(
     stated = load_case(config, machine=machine, artefact=artefact, stations=stations)
     with naming(config):
         job = with_learned_latencies(stated, config.resolve().parent)
+        if free_stations:
+            refuse_fixed_stations(job)
         variants = variants_of(
             job,
             config.resolve().parent,
@@ -132,14 +147,24 @@ def design_command(
                 prove=preflight_of,
                 say=lambda what: status.update(f"{what} …"),
             )
-    best = next(choice for choice in choices if choice.best)
+            best = next(choice for choice in choices if choice.best)
+            places: Mapping[int, Array] = {}
+            if free_stations:
+                best, places = with_free_stations(
+                    best,
+                    goal,
+                    verify=verify_set,
+                    prove=preflight_of,
+                    say=lambda what: status.update(f"{what} …"),
+                )
+                choices = [best if choice.best else choice for choice in choices]
     rivals = _rivals(job)
     files = write_design(best.result, rivals, out)
     seconds = wall_seconds() - started
     if as_json:
-        click.echo(json.dumps(_document(choices, best, rivals, files, seconds), allow_nan=False))
+        click.echo(json.dumps(_document(choices, best, places, rivals, files, seconds), allow_nan=False))
     else:
-        _show(choices, best, rivals, files, seconds)
+        _show(choices, best, places, rivals, files, seconds)
 
 
 def _goal(slot: float | None, positions: int | None, target_vce: float | None) -> Goal:
@@ -190,7 +215,12 @@ def _worth(found: DesignResult) -> dict[str, object]:
 
 
 def _document(
-    choices: list[VariantDesign], best: VariantDesign, rivals: list[ReferenceSet], files: list[Path], seconds: float
+    choices: list[VariantDesign],
+    best: VariantDesign,
+    places: Mapping[int, Array],
+    rivals: list[ReferenceSet],
+    files: list[Path],
+    seconds: float,
 ) -> dict[str, object]:
     found = best.result
     phases = found.minutes_by_phase.as_json()
@@ -198,6 +228,7 @@ def _document(
         "machine": found.problem.job.machine.name,
         "artefact": found.problem.job.artefact.name,
         "positions": [_as_json(position) for position in found.positions],
+        "places_mm": [places[number].tolist() for number in sorted(places)] or None,
         **_worth(found),
         "minutes_by_phase": phases,
         "latencies_from_run": found.problem.job.latencies_from or None,
@@ -226,7 +257,12 @@ def _variant(choice: VariantDesign) -> dict[str, object]:
 
 
 def _show(
-    choices: list[VariantDesign], best: VariantDesign, rivals: list[ReferenceSet], files: list[Path], seconds: float
+    choices: list[VariantDesign],
+    best: VariantDesign,
+    places: Mapping[int, Array],
+    rivals: list[ReferenceSet],
+    files: list[Path],
+    seconds: float,
 ) -> None:
     found, console = best.result, results_console()
     console.print(subject(found.problem.job.machine.name, found.problem.job.artefact.name), markup=False)
@@ -249,6 +285,8 @@ def _show(
         ("took", f"{seconds:.1f} s"),
     ]
     console.print(facts_table(rows, title="position set by design"))
+    if places:
+        console.print(_stations(places), markup=False)
     if found.held_out:
         console.print(_verification(found), markup=False)
     if best.variant.made_up:
@@ -257,6 +295,12 @@ def _show(
         )
     for path in files:
         console.print(str(path), markup=False)
+
+
+def _stations(places: Mapping[int, Array]) -> str:
+    """Return the text of the section `[stations]` to be copied into the settings file."""
+    listed = ", ".join("[" + ", ".join(str(float(one)) for one in places[number]) + "]" for number in sorted(places))
+    return f"for the settings:\n[stations]\nplaces_mm = [{listed}]"
 
 
 def _verification(found: DesignResult) -> str:

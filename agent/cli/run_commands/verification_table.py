@@ -14,6 +14,11 @@ from twin.monitoring.step_power import POWER, ROTATIONS, SmallestStep, largest_o
 _COLUMNS = ("verification", "positions", "min", "evidence", "squareness", "rotation", "displacement")
 _OTHERS = tuple(error for error in ERRORS if error not in (*SQUARENESS, *ROTATIONS))
 
+_NO_SQUARENESS = (
+    "no squareness of this machine can change: as many positions as at the beginning of a night, "
+    "those that show a jump of any error"
+)
+
 
 def power_table(verified: VerificationPower) -> Table:
     """Return a table of the smallest steps that a verification finds, with one row for each set of positions."""
@@ -37,7 +42,9 @@ def power_notes(verified: VerificationPower) -> str:
     sought, alarms = f"{verified.sought_urad:g} µrad of any squareness", f"{100.0 * verified.false_alarm:.2g} %"
     positions = ", ".join(position_key(position) for position in verified.planned.positions)
     notes = [f"volcal verify: {positions}; at most {alarms} of the verifications raise a false alarm"]
-    if verified.fewest_squareness is None:
+    if not verified.seeks_squareness:
+        notes.append(_NO_SQUARENESS)
+    elif verified.fewest_squareness is None:
         notes.append(f"{sought}: not found with all positions at station {verified.station}")
     if verified.no_effect:
         notes.append(f"left out, because they do not move the tool: {', '.join(verified.no_effect)}")
@@ -47,6 +54,8 @@ def power_notes(verified: VerificationPower) -> str:
 def power_text(verified: VerificationPower) -> str:
     """Return in words which step of a squareness `volcal verify` finds, and how long that takes."""
     planned = verified.planned
+    if not verified.seeks_squareness:
+        return f"{_largest(planned.steps, ROTATIONS)} of any rotation in {_effort(planned)}\n{_NO_SQUARENESS}"
     own = f"any squareness by {_largest(planned.steps, SQUARENESS)} with {100.0 * POWER:.0f} % in {_effort(planned)}"
     if verified.fewest_squareness is not None:
         return own

@@ -13,8 +13,10 @@ import numpy as np
 from agent.planning.design.feasibility import FeasibilityCheck
 from agent.planning.held_out_positions import LazyHeldOut
 from agent.planning.job import HeldOutChoice, Job, KnownHeldOut, Planner
+from agent.planning.job_preparation import with_places
 from agent.planning.planning_options import planning_options
 from agent.planning.run_minutes import PHASES, PREPARATION, RunMinutes, held_out_keys, phase_of, run_minutes, run_steps
+from twin.arrays import Array
 from twin.artefact.position_set import CHECKABLE_BALLS, Position
 from twin.design.candidates import CandidatePositions, build_candidates, orientation_grid, spread_balls
 from twin.design.measuring_cost import MeasuringCosts
@@ -68,6 +70,12 @@ class DesignProblem:
 
     def refusing(self, position: Position) -> DesignProblem:
         return replace(self, refused=self.refused | {position})
+
+    def with_places(self, places_mm: Mapping[int, Array]) -> DesignProblem:
+        """Return the problem with the stations at other places (3,) in mm along their axis. Positions that a preflight
+        has refused are offered again."""
+        jobs = {name: with_places(job, places_mm) for name, job in self.jobs.items()}
+        return DesignProblem(jobs, self.grid_deg, self.plan_of, self.ball_share)
 
     def feasibility_of(self, position: Position) -> FeasibilityCheck:
         """Return the check whether positions can be measured with the tool of `position`."""

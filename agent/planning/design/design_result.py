@@ -8,7 +8,7 @@ the goal best is marked.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -21,12 +21,15 @@ from agent.planning.job import Job, Planner
 from agent.planning.run_minutes import RunMinutes
 from agent.probing.run_plan import position_key
 from drivers.errors import ConfigurationError, InputError, UserError
+from twin.arrays import Array
 from twin.artefact.position_set import Position
 from twin.design.candidates import CandidatePositions
 from twin.design.goals import Goal, TargetErrorGoal, TimeSlotGoal
 from twin.design.held_out import most_informative_groups
 from twin.design.search import ExchangeSearch
+from twin.design.station_places import StationPlaces
 from twin.design.valuation import Valuation
+from twin.machine.volumetric import evaluation_grid
 
 Say = Callable[[str], None]
 Prove = Callable[[Job], object]
@@ -36,6 +39,7 @@ _MAX_ATTEMPTS = 12
 _SLACK_MIN = 0.01
 _MAX_EXTENSIONS = 4
 _ORIENTATIONS = 2
+_MAX_ROUNDS = 3  # of places and positions in turn; each of the shipped cases ends after one or two
 _MARGIN = 1.3  # factor on the excess over a slot, so that one more search usually suffices
 
 
@@ -77,9 +81,18 @@ class DesignResult:
         return self.balls * self.problem.job.settings.procedure.touches_per_ball
 
 
-def find_design(problem: DesignProblem, goal: Goal, *, verify: bool, prove: Prove | None, say: Say) -> DesignResult:
+def find_design(
+    problem: DesignProblem,
+    goal: Goal,
+    *,
+    verify: bool,
+    prove: Prove | None,
+    say: Say,
+    start: Sequence[Position] = (),
+) -> DesignResult:
     """Return the best position set found for the goal `goal` among the candidates of `problem`.
 
+    If the positions `start` are given and the goal is a time slot, they are improved instead of a new set being grown.
     `prove` carries out the preflight of the set found; if it is None, there is none. If the preflight refuses a
     position, the position is excluded and the search is repeated. If `verify` is True, held-out
     positions for the verification are selected too. `say` is called with the name of the current activity.
@@ -88,18 +101,20 @@ def find_design(problem: DesignProblem, goal: Goal, *, verify: bool, prove: Prov
     preflight refuses the set found in every attempt. Raises PlanRefused if the preflight refuses a step that belongs to
     no selected position.
     """
-    found = _unproved(problem, goal, verify=verify, say=say)
+    found = _unproved(problem, goal, verify=verify, say=say, start=start)
     return found if prove is None else _proved(found, goal, verify=verify, prove=prove, say=say)
 
 
-def _unproved(problem: DesignProblem, goal: Goal, *, verify: bool, say: Say) -> DesignResult:
+def _unproved(
+    problem: DesignProblem, goal: Goal, *, verify: bool, say: Say, start: Sequence[Position] = ()
+) -> DesignResult:
     say("candidates")
     with translated(ConfigurationError, key="stations.places_mm"):
         candidates = problem.candidates
     say("minutes of the candidates")
     search = problem.search
     say("search")
-    draft = _selected(problem, search, goal, verify=verify)
+    draft = _selected(problem, search, goal, _indices(candidates, start), verify=verify)
     return DesignResult(
         problem=problem,
         chosen=draft.chosen,
@@ -138,7 +153,15 @@ class _Draft:
     slot_minutes: float = math.nan
 
 
-def _selected(problem: DesignProblem, search: ExchangeSearch, goal: Goal, *, verify: bool) -> _Draft:
+def _indices(candidates: CandidatePositions, positions: Sequence[Position]) -> tuple[int, ...]:
+    """Return the candidates with the orientations of `positions`, whichever of their balls are measured."""
+    known = {replace(one, balls=None): index for index, one in enumerate(candidates.positions)}
+    return tuple(known[whole] for whole in (replace(one, balls=None) for one in positions) if whole in known)
+
+
+def _selected(
+    problem: DesignProblem, search: ExchangeSearch, goal: Goal, start: Sequence[int], *, verify: bool
+) -> _Draft:
     """Return a selection that reaches the goal with the minutes of the whole run.
 
     The search adds up approximate minutes of single positions and those that a run takes anyway, but a time slot
@@ -147,7 +170,7 @@ def _selected(problem: DesignProblem, search: ExchangeSearch, goal: Goal, *, ver
     """
     if not isinstance(goal, TimeSlotGoal):
         return _drafted(problem, search, partial(goal.select, search), verify=verify)
-    draft = _fitting(problem, search, goal, goal.minutes, (), verify=verify)
+    draft = _fitting(problem, search, goal, goal.minutes, start, verify=verify)
     for _ in range(_MAX_EXTENSIONS):
         spare = goal.minutes - draft.minutes
         if spare <= search.costs.minutes.min():
@@ -254,6 +277,59 @@ class VariantDesign:
         if self.design is None:
             raise ValueError(self.reason)
         return self.design
+
+
+def with_free_stations(
+    choice: VariantDesign, goal: Goal, *, verify: bool, prove: Prove, say: Say
+) -> tuple[VariantDesign, Mapping[int, Array]]:
+    """Return a better design if the stations may stand anywhere along their axis, and the place (3,) in mm of each
+    station. It is `choice` if no better one is found.
+
+    The places are improved for the set that was found, and the set for the new places, in turn. The station at which
+    the artefact stands is not moved.
+    """
+    best = choice
+    for _ in range(_MAX_ROUNDS):
+        say("places of the stations")
+        found = best.result
+        moved = found.problem.with_places(_better_places(found))
+        start = found.positions if isinstance(goal, TimeSlotGoal) else ()
+        try:
+            other = find_design(moved, goal, verify=verify, prove=None, say=say, start=start)
+        except UserError:  # the goal cannot be reached from there
+            break
+        if _rank(other, goal) >= _rank(found, goal):
+            break
+        best = replace(best, design=other)
+    found = best.result
+    if best is not choice and not best.variant.made_up:
+        best = replace(best, design=_proved(found, goal, verify=verify, prove=prove, say=say))
+    return best, best.result.problem.job.layout.locations_mm
+
+
+def _better_places(found: DesignResult) -> Mapping[int, Array]:
+    problem, job = found.problem, found.problem.job
+    at = job.settings.stations.standing_at
+    return StationPlaces(
+        procedure=problem.procedure,
+        positions=found.positions,
+        family=job.machine.family,
+        options=problem.options,
+        grid=evaluation_grid(job.machine.model.ranges_mm),
+        tool_offset=job.tool_offset_mm,
+        travel_mm=job.machine.limits[job.layout.station_axis],
+        kept=() if at is None else (at,),
+    ).improved()
+
+
+def refuse_fixed_stations(job: Job) -> None:
+    """Raise InputError if the stations of `job` cannot stand elsewhere because each of them has a mount of its own."""
+    if job.rules.change.own_mounts:
+        raise InputError(
+            "the stations are fixed: each of them has a mount of its own",
+            hint="leave --free-stations out, or change stations.places_mm and compare the designs",
+            key="--free-stations",
+        )
 
 
 def compare_variants(

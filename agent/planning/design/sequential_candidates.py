@@ -6,7 +6,7 @@ collision, the information that each would give, and the machine time that each 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
@@ -143,20 +143,33 @@ class SequentialCandidates:
     def planned(self, minutes: float, standing: Standing | None) -> tuple[Position, ...]:
         """Return the positions that would be measured within `minutes`, held-out positions and proof included, if the
         machine were as its family states. The run measures others as soon as its own measurements speak for them."""
-        seen, chosen = self.nothing_seen(), list[Position]()
+
+        def fits(position: Position, ends_min: float) -> bool:
+            return ends_min + self.tail_minutes(position.station) <= minutes
+
+        return tuple(self.sequence(standing, fits))
+
+    def sequence(
+        self, standing: Standing | None, fits: Callable[[Position, float], bool] = lambda *_: True
+    ) -> Iterator[Position]:
+        """Yield the positions in the order in which they would be measured if the machine were as its family states.
+
+        `fits` takes a position and the time in min at which its measurement would end, and returns False if it cannot
+        be measured any more. The sequence ends when nothing fits or gains.
+        """
+        seen, chosen, ends_min = self.nothing_seen(), list[Position](), 0.0
         index_of = {position: index for index, position in enumerate(self.positions)}
         while True:
-            seconds = self.seconds(standing)
-            for position in self.ranked(seen, standing, chosen):
-                needed = seconds[index_of[position]] / S_PER_MIN
-                if needed + self.tail_minutes(position.station) <= minutes:
-                    break
-            else:
-                return tuple(chosen)
-            minutes -= needed
+            minutes = ends_min + self.seconds(standing) / S_PER_MIN
+            ranked = self.ranked(seen, standing, chosen)
+            position = next((one for one in ranked if fits(one, float(minutes[index_of[one]]))), None)
+            if position is None:
+                return
+            yield position
+            index = index_of[position]
+            ends_min = float(minutes[index])
             chosen.append(position)
-            seen = seen.planned(index_of[position])
-            standing = standing_in(position)
+            seen, standing = seen.planned(index), standing_in(position)
 
     @cached_property
     def _tails(self) -> dict[int, float]:

@@ -3,9 +3,9 @@ slot together with the checks of the probe, the held-out positions and the proof
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import islice
 
 from agent.errors import PlanRefused
 from agent.planning.cycle_time import walk_plan
@@ -71,8 +71,8 @@ def _checks(job: Job) -> tuple[float, Standing | None]:
 
 def _shortest_minutes(candidates: SequentialCandidates, checks: float, standing: Standing | None) -> float:
     """Return the machine minutes of a run that measures the smallest number of positions."""
-    minutes = checks
-    for position in candidates.planned(math.inf, standing)[:MIN_POSITIONS]:
+    minutes, first = checks, tuple(islice(candidates.sequence(standing), MIN_POSITIONS))
+    for position in first:
         minutes += float(candidates.seconds(standing)[candidates.positions.index(position)]) / S_PER_MIN
         standing = standing_in(position)
     return minutes + (0.0 if standing is None else candidates.tail_minutes(standing.station))

@@ -63,11 +63,11 @@ class VerificationPower:
     `since` is empty.
 
     `planned` are the steps found by the positions that `volcal verify` measures, `by_positions` those found by fewer
-    and by more positions, in the order in which they are chosen. `fewest_squareness` and `fewest_angles` are the fewest
-    positions that find `sought_urad` of any squareness, and of any squareness or rotation; None if all positions at the
-    station do not find it. `night` are the steps that the check at the beginning of a night finds with the limit of the
-    settings, whose false alarms have the bound `night_false_alarm`. The errors `no_effect` do not move the tool and are
-    left out.
+    and by more positions, in the order in which they are chosen; if no squareness can change, they are `planned` alone.
+    `fewest_squareness` and `fewest_angles` are the fewest positions that find `sought_urad` of any squareness, and of
+    any squareness or rotation; None if all positions at the station do not find it. `night` are the steps that the
+    check at the beginning of a night finds with the limit of the settings, whose false alarms have the bound
+    `night_false_alarm`. The errors `no_effect` do not move the tool and are left out.
     """
 
     station: int
@@ -81,6 +81,11 @@ class VerificationPower:
     night: FoundSteps
     night_false_alarm: float
     no_effect: tuple[str, ...]
+
+    @property
+    def seeks_squareness(self) -> bool:
+        """True if a squareness of the machine can change. If none can, a verification looks for a jump of any error."""
+        return any(step.error in SQUARENESS for step in self.planned.steps)
 
     def as_json(self) -> dict[str, object]:
         """Return the power as a JSON object."""
@@ -130,7 +135,7 @@ def verification_power(job: Job, station: int) -> VerificationPower:
         false_alarm=verification.false_alarm,
         sought_urad=sought,
         planned=found(planned.positions),
-        by_positions=tuple(found(more[:count]) for count in range(1, len(more) + 1)),
+        by_positions=tuple(found(more[:count]) for count in range(1, len(more) + 1)) or (found(planned.positions),),
         fewest_squareness=fewest(SQUARENESS),
         fewest_angles=fewest((*SQUARENESS, *ROTATIONS)),
         night=FoundSteps(

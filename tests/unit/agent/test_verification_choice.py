@@ -9,8 +9,11 @@ from functools import cache
 import numpy as np
 from study_case import shipped_job
 
+from agent.cli.printing import results_console
+from agent.cli.run_commands.verification_table import power_notes, power_table, power_text
 from agent.runs.kinds.position_choice import PositionChooser
 from agent.runs.kinds.verification_choice import VerificationChooser
+from agent.runs.kinds.verification_power import verification_power
 from twin.identification import CarriedOverPrior
 from twin.identification.scales import Scales
 from twin.identification.unknowns import Unknowns
@@ -56,3 +59,22 @@ def test_a_machine_whose_squareness_cannot_change_is_verified_all_the_same() -> 
     assert len(choice.positions) == 3
     assert choice.worst_squareness is None
     assert {step.error for step in choice.steps}.isdisjoint(SQUARENESS)
+
+
+def test_the_table_of_a_machine_without_squareness_shows_what_is_measured_instead_and_says_why() -> None:
+    job = shipped_job(2)
+    family = job.machine.family
+    own = [one.error in SQUARENESS for one in family.model.parameters]
+    square = replace(family, half_widths=np.where(own, 0.0, family.half_widths))
+    found = verification_power(replace(job, machine=replace(job.machine, family=square)), 1)
+    assert not found.seeks_squareness
+    assert found.by_positions == (found.planned,)
+    assert len(found.planned.positions) == 3
+    console = results_console()
+    with console.capture() as shown:
+        console.print(power_table(found))
+    assert "volcal verify" in shown.get()
+    for text in (power_notes(found), power_text(found)):
+        assert "no squareness of this machine can change" in text
+        assert "not found" not in text
+        assert "not with all positions" not in text

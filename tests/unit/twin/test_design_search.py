@@ -106,6 +106,41 @@ def test_a_slot_holds_and_no_position_that_fits_is_left_out():
     assert all(search.costs.total([*chosen, index]) > 8.0 for index in rest)
 
 
+@given(st.integers(0, 200), st.sets(st.integers(0, 8), min_size=2), st.floats(4.0, 14.0))
+def test_a_selection_that_fits_its_slot_is_improved_and_keeps_to_it(seed: int, start: set[int], slot: float):
+    candidates = made_up(seed)
+    search = searching(candidates, carry_minutes=0.5)
+    chosen = TimeSlotGoal(slot).select(search, sorted(start))
+    assert len(set(chosen)) == len(chosen) >= 2
+    assert search.costs.total(chosen) <= slot
+    if search.costs.total(sorted(start)) <= slot:
+        assert plain_value(candidates, chosen) <= plain_value(candidates, start) * (1.0 + 1e-9)
+    rest = [index for index in range(candidates.count) if index not in chosen]
+    assert all(search.costs.total([*chosen, index]) > slot for index in rest)
+
+
+def test_a_selection_that_is_too_long_loses_the_positions_that_matter_least():
+    candidates = made_up(3)
+    search = searching(candidates)
+    whole = list(range(candidates.count))
+    slot = search.costs.total(whole) - 0.1  # the shortest position takes longer
+    chosen = TimeSlotGoal(slot).select(search, whole)
+    least = min(plain_value(candidates, [o for o in whole if o != index]) for index in whole)
+    assert plain_value(candidates, chosen) == pytest.approx(least, rel=1e-9)
+
+
+def test_a_selection_of_which_one_position_is_left_is_replaced_by_a_new_one():
+    candidates = made_up(12)
+    search = searching(candidates, carry_minutes=3.0)
+    cheapest = float(search.costs.cheapest_pairs().min())
+    slot = cheapest + 0.05
+    chosen = TimeSlotGoal(slot).select(search, [7, 8])  # at two stations, far too long
+    assert search.costs.total([7, 8]) > slot
+    assert len(chosen) >= 2
+    assert search.costs.total(chosen) <= slot
+    assert chosen == TimeSlotGoal(slot).select(search)
+
+
 def test_a_slot_is_used_nearly_as_well_as_by_the_best_of_all_sets():
     candidates = made_up(4, count=8)
     search = searching(candidates, carry_minutes=0.5)

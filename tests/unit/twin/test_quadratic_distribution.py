@@ -39,6 +39,14 @@ def test_equal_weights_are_chi_square(freedom: int, noncentral: float) -> None:
     assert one.variance == pytest.approx(9.0 * reference.var())
 
 
+@pytest.mark.parametrize("weight", [6.7e-8, 1e-12, 1.0])
+def test_a_tail_that_is_smaller_than_any_number_is_zero(weight: float) -> None:
+    one = QuadraticDistribution(np.array([weight]), np.array([0.0]), 0.0)
+    assert one.exceeds(2e3 * weight) == 0.0
+    assert one.exceeds(100.0 * max(weight, 20.0)) == 0.0
+    assert one.exceeds(1e3 * weight) == pytest.approx(float(stats.chi2.sf(1e3, 1)), rel=1e-9)
+
+
 def test_the_far_tail_is_no_rounding() -> None:
     assert plain([1.0] * 3, [0.0] * 3).exceeds(400.0) == pytest.approx(stats.chi2(3).sf(400.0), rel=1e-9, abs=0.0)
     assert plain([1.0] * 9, [0.0] * 9).at_most(1e-3) == pytest.approx(stats.chi2(9).cdf(1e-3), rel=1e-9, abs=0.0)
