@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import sqlite3
 from collections.abc import Callable, Iterator, Sequence
@@ -14,7 +15,7 @@ import numpy as np
 from agent.execution.rig import Rig
 from agent.execution.supervisor import Supervisor
 from agent.planning.case_file import SHIPPED_CONFIGURATION
-from agent.planning.job import Job
+from agent.settings.schema import Settings
 from campaigns.aborts.case import FORMER_BANK, FORMER_TABLE, SCALE, InMemoryDatabase
 from campaigns.faults.faulty_device import DEVICE, FaultyDevice, WatchedClock
 from campaigns.faults.tcp_proxy import ModbusProxy
@@ -39,10 +40,10 @@ OTHER_TABLE = TableImage((0.0, 0.0, 0.0), (2000.0, 650.0, 750.0), 1e-4, np.full(
 class FaultScene:
     """World, clock, device and journal of a night, and what a fault has told about itself.
 
-    `size` describes the size of the fault in words. `stopped_s` is the instant of a fault after which the axes must
-    stand still, and `aborted_s` that of an abort by request, both in s of machine time. `repairs` are functions that
-    remove the fault in the morning. `shared` and `proxy` are the world with its lock and the proxy of a night on a real
-    wire.
+    `size` describes the size of the last fault in words. `stopped_s` is the first instant of a fault after which the
+    axes must stand still, and `aborted_s` that of an abort by request, both in s of machine time. `repairs` are
+    functions that remove the faults in the morning, in the order of the faults. `shared` and `proxy` are the world with
+    its lock and the proxy of a night on a real wire.
     """
 
     world: World
@@ -65,7 +66,35 @@ class FaultScene:
         assert self.device is not None
         return self.device
 
-    def rig(self, clock: Clock, job: Job) -> Rig:
+    def note_stop(self) -> None:
+        """Note that the axes must stand still from now on."""
+        self.stopped_s = self.clock.now() if self.stopped_s is None else self.stopped_s
+
+    def note_abort(self) -> None:
+        """Note that an abort or an end of the program is requested now."""
+        self.aborted_s = self.clock.now() if self.aborted_s is None else self.aborted_s
+
+    def tell_connections(self, statement: str) -> None:
+        """Execute a statement on every open connection of the run to its database."""
+        for connection in self.connections:
+            with contextlib.suppress(sqlite3.ProgrammingError):  # it was closed
+                connection.execute(statement)
+
+    def repair(self) -> None:
+        """Remove every fault of the computer, the cell and a real link, the last one first."""
+        for repair in reversed(self.repairs):
+            repair()
+        self.repairs.clear()
+        self.journal_writable = True
+        if self.proxy is not None:
+            self.proxy.repair()
+
+    def start_again(self) -> None:
+        """Prepare for another run, at the present instant of the world; what disturbed the one before is over."""
+        self.clock = WatchedClock(self.world.now)
+        self.stopped_s = self.aborted_s = None
+
+    def rig(self, clock: Clock, settings: Settings) -> Rig:
         """Return a rig of which one faulty device plays every role or, if there is a proxy, of the driver `modbus-cnc`
         behind the proxy and of a device with the other roles."""
         simulated = SimulatedMachineDevice(self.world, clock)
@@ -77,7 +106,7 @@ class FaultScene:
         self.clock.subscribe(self.advance)
         cnc: Any = self.device
         other = cnc if self.proxy is None else own
-        mounts = dict.fromkeys(range(1, len(job.settings.stations.places_mm) + 1), other)
+        mounts = dict.fromkeys(range(1, len(settings.stations.places_mm) + 1), other)
         devices = {DEVICE: cnc} if self.proxy is None else {CNC: cnc, DEVICE: other}
         return Rig(devices, cnc, cnc, mounts, cnc, cnc, other, clock)
 

@@ -55,13 +55,14 @@ def cut_connection(scene: FaultScene, rng: Generator) -> None:
         lasts_s = duration_s(rng)
         scene.clock.at(scene.clock.now() + lasts_s, proxy.repair)
     scene.size = ("opened again at once", "for some time", "until the morning")[how]
-    scene.stopped_s = scene.clock.now() if how == 2 else None
+    if how == 2:
+        scene.note_stop()
     proxy.cut()
 
 
 def stuck_connection(scene: FaultScene, _: Generator) -> None:
     """Let nothing pass any more, with both ends connected."""
-    scene.stopped_s = scene.clock.now()
+    scene.note_stop()
     _proxy(scene).stop_forwarding()
 
 

@@ -9,8 +9,9 @@ import pytest
 from campaign_command import run_campaign
 
 from campaigns.faults.__main__ import summarise
-from campaigns.faults.fault_kinds import KINDS, plan_fault
+from campaigns.faults.fault_kinds import KINDS
 from campaigns.faults.night_record import INVARIANTS, NightRecord, violations
+from campaigns.faults.planned_night import plan_night
 
 NIGHTS = 36
 """Every kind of fault in one process once, and one night with a real link; about 55 s of CPU time."""
@@ -115,10 +116,10 @@ def test_a_controller_that_activates_another_bank_is_named_in_the_morning_too() 
 
 
 def test_all_kinds_of_fault_occur_and_a_night_is_drawn_the_same_again() -> None:
-    planned = [plan_fault(1, night) for night in range(200)]
+    planned = [plan_night(1, night) for night in range(200)]
     assert {one.kind for one in planned} == set(KINDS)
-    assert planned == [plan_fault(1, night) for night in range(200)]
-    assert planned != [plan_fault(2, night) for night in range(200)]
+    assert planned == [plan_night(1, night) for night in range(200)]
+    assert planned != [plan_night(2, night) for night in range(200)]
 
 
 def test_nights_with_faults_end_as_they_must() -> None:
