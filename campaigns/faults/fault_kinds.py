@@ -17,19 +17,25 @@ CONTROLLER, CELL, COMPUTER, WIRE = "controller", "cell", "computer", "wire"
 class FaultKind:
     """Kind of fault. `apply` lets it begin now, with a size drawn by the generator. `reasons` are words of which the
     reason of a run that ends because of it must contain one. If `of_evening` is True, the fault usually is there from
-    the beginning. If `proxied` is True, it disturbs a real link. If `cleared` is True, a run that has ended because of
-    it can be resumed once it is removed, and then ends as if it had not been there."""
+    the beginning. `link` is the kind of real link that it disturbs, or empty. If `cleared` is True, a run that has
+    ended because of it can be resumed once it is removed, and then ends as if it had not been there.
+    """
 
     group: str
     apply: Callable[[FaultScene, Generator], None]
     reasons: tuple[str, ...]
     of_evening: bool = False
-    proxied: bool = False
+    link: str = ""
     cleared: bool = False
 
 
 _LINK = tuple(text for _, text in wire_faults.ERRORS)
-_TCP = ("link modbus-tcp", "heartbeat")
+_REAL_LINKS = {
+    "TCP": ("link modbus-tcp", "heartbeat"),
+    "RTU": ("link modbus-rtu", "heartbeat"),
+    "CAN": ("link slcan:", "link socketcand:", "drive", "heartbeat"),
+}
+"""Words by which a driver names its real link, or the controller its loss."""
 KINDS: dict[str, FaultKind] = {
     "busy": FaultKind(CONTROLLER, controller_faults.busy, ("the controller is busy",)),
     "emergency stop": FaultKind(CONTROLLER, controller_faults.emergency_stop, ("emergency stop",), cleared=True),
@@ -62,11 +68,9 @@ KINDS: dict[str, FaultKind] = {
     "interrupted link": FaultKind(WIRE, wire_faults.interrupted_link, (*_LINK, "heartbeat"), cleared=True),
     "lost call": FaultKind(WIRE, wire_faults.lost_call, _LINK, cleared=True),
     "lost answer": FaultKind(WIRE, wire_faults.lost_answer, _LINK, cleared=True),
-    "TCP delayed": FaultKind(WIRE, proxy_faults.delayed_frames, _TCP, proxied=True, cleared=True),
-    "TCP lost": FaultKind(WIRE, proxy_faults.lost_frames, _TCP, proxied=True, cleared=True),
-    "TCP repeated": FaultKind(WIRE, proxy_faults.repeated_frames, _TCP, proxied=True, cleared=True),
-    "TCP reordered": FaultKind(WIRE, proxy_faults.reordered_frames, _TCP, proxied=True, cleared=True),
-    "TCP garbled": FaultKind(WIRE, proxy_faults.garbled_frames, _TCP, proxied=True, cleared=True),
-    "TCP cut": FaultKind(WIRE, proxy_faults.cut_connection, _TCP, proxied=True, cleared=True),
-    "TCP stuck": FaultKind(WIRE, proxy_faults.stuck_connection, _TCP, proxied=True, cleared=True),
+    **{
+        f"{link} {name}": FaultKind(WIRE, apply, words, link=link, cleared=True)
+        for link, words in _REAL_LINKS.items()
+        for name, apply in proxy_faults.FAULTS.items()
+    },
 }

@@ -29,10 +29,11 @@ from campaigns.aborts.case import InMemoryDatabase, prepare_case
 from campaigns.aborts.forked_copies import Forks
 from campaigns.faults.fault_injector import FaultInjector
 from campaigns.faults.fault_kinds import KINDS
-from campaigns.faults.fault_scene import FaultScene, behind_proxy, build_world
+from campaigns.faults.fault_scene import FaultScene, build_world
 from campaigns.faults.judgement import EndedRun, Start, record_run, start_volcal
 from campaigns.faults.night_record import NightRecord
-from campaigns.faults.planned_night import PlannedNight, plan_night
+from campaigns.faults.planned_night import LINKED_EVERY, PlannedNight, plan_night
+from campaigns.faults.real_links import CAN_BUSES, linked
 from campaigns.resume.case import cache_preflight
 from drivers.errors import VolcalError
 from simulators.world.world import World
@@ -61,9 +62,9 @@ def play_share(share: Share) -> tuple[list[NightRecord], float]:
     began_s = _cpu_s()
     nights = [plan_night(share.seed, night) for night in range(share.first, share.end)]
     machine = machine_seed(share.seed, share.first)
-    records = play_nights([one for one in nights if not one.proxied], machine)
+    records = play_nights([one for one in nights if not one.link], machine)
     for night in nights:
-        if night.proxied:
+        if night.link:
             records += play_nights([night], machine, forked=False)
     return sorted(records, key=lambda night: night.night), _cpu_s() - began_s
 
@@ -81,13 +82,14 @@ def _cpu_s() -> float:
 def play_nights(nights: Sequence[PlannedNight], world_seed: int, *, forked: bool = True) -> list[NightRecord]:
     """Play the nights, all on the machine drawn with `world_seed`, and return their records.
 
-    If `forked` is False, `nights` must have one element, which is played in this process.
+    All must have the same kind of real link. If `forked` is False, `nights` must have one element, which is played in
+    this process.
     """
     duration_s = _undisturbed_duration_s()
-    proxied = any(one.proxied for one in nights)
-    world = build_world(world_seed, BANKS_OF_REGISTER_MAP) if proxied else build_world(world_seed)
+    link, bus = nights[0].link, CAN_BUSES[nights[0].night // LINKED_EVERY % len(CAN_BUSES)]
+    world = build_world(world_seed, BANKS_OF_REGISTER_MAP) if link else build_world(world_seed)
     records: list[NightRecord] = []
-    with _scene(world) as (scene, directory), behind_proxy(scene) if proxied else nullcontext():
+    with _scene(world) as (scene, directory), linked(scene, link, directory, bus):
 
         def receive(night: PlannedNight, result: Mapping[str, Any]) -> None:
             records.append(_received(night, result, scene.clock.now()))

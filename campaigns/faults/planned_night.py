@@ -27,8 +27,9 @@ RETURNING = (
 """Keys of steps with which a resumed run returns to where it was."""
 START_SHARE = 0.6
 """Share of the nights whose fault is there from the beginning, among the faults that a person makes before it."""
-PROXIED_EVERY = 25
-"""One night in so many has a real link; it takes several times as long as the others."""
+LINKS = ("TCP", "RTU", "CAN")
+LINKED_EVERY = 12
+"""One night in so many has a real link, of these in turn; it takes several times as long as the others."""
 SECOND_SHARE = 0.35
 """Share of the nights with a second fault."""
 RESUMED_SHARE = 0.75
@@ -71,8 +72,9 @@ class PlannedNight:
     mornings: tuple[Morning, ...] = ("restart",)
 
     @property
-    def proxied(self) -> bool:
-        return KINDS[self.kind].proxied
+    def link(self) -> str:
+        """Kind of the real link of the night; empty if there is none."""
+        return KINDS[self.kind].link
 
     def generator(self, fault: int) -> Generator:
         """Return the generator of the size of the fault with the number `fault`, from 1 on."""
@@ -85,22 +87,24 @@ def plan_night(seed: int, night: int) -> PlannedNight:
     All kinds of the first fault occur equally often: each of successive nights has another one, in an order drawn for
     each round.
     """
-    proxied = night % PROXIED_EVERY == PROXIED_EVERY - 1
-    names = [name for name, kind in KINDS.items() if kind.proxied is proxied]
-    count = night // PROXIED_EVERY if proxied else night - night // PROXIED_EVERY
-    order = np.random.default_rng([seed, count // len(names), 2]).permutation(len(names))
+    turn, left = divmod(night, LINKED_EVERY)
+    link = LINKS[turn % len(LINKS)] if left == LINKED_EVERY - 1 else ""
+    names = [name for name, kind in KINDS.items() if kind.link == link]
+    count = turn // len(LINKS) if link else night - turn
+    entropy = [seed, count // len(names), 2, *([LINKS.index(link) + 1] if link else [])]
+    order = np.random.default_rng(entropy).permutation(len(names))
     kind = names[order[count % len(names)]]
-    second, mornings = _later(np.random.default_rng([seed, night, 3]), proxied=proxied)
+    second, mornings = _later(np.random.default_rng([seed, night, 3]), link)
     rng = np.random.default_rng([seed, night, 0])
     if KINDS[kind].of_evening and rng.random() < START_SHARE:
         return PlannedNight(seed, night, kind, 0.0, second=second, mornings=mornings)
-    if rng.random() < PUBLISHING_SHARE:
+    if rng.random() < PUBLISHING_SHARE and link != "CAN":  # the tables are not on the link to the mount
         key, after = str(rng.choice(PUBLISHING)), bool(rng.integers(2))
         return PlannedNight(seed, night, kind, 1.0, key, after, second, mornings)
     return PlannedNight(seed, night, kind, float(rng.random()), second=second, mornings=mornings)
 
 
-def _later(rng: Generator, *, proxied: bool) -> tuple[SecondFault | None, tuple[Morning, ...]]:
+def _later(rng: Generator, link: str) -> tuple[SecondFault | None, tuple[Morning, ...]]:
     """Return the second fault of a night, or None, and its mornings.
 
     Both faults of a night with a real link are on it.
@@ -114,7 +118,7 @@ def _later(rng: Generator, *, proxied: bool) -> tuple[SecondFault | None, tuple[
     if rng.random() >= SECOND_SHARE:
         return None, tuple(mornings)
     resumed = len(mornings) > 1 and bool(rng.integers(2))
-    kinds = [name for name, kind in KINDS.items() if kind.proxied is proxied]
+    kinds = [name for name, kind in KINDS.items() if kind.link == link]
     kind, at_step, after = str(rng.choice(kinds)), bool(rng.integers(2)), bool(rng.integers(2))
     if at_step:
         keys = (*RETURNING, *PUBLISHING) if resumed else RESTORING
