@@ -15,10 +15,12 @@ ABORT_REASON = "a person walks in"
 
 def disk_full(scene: FaultScene, _: Generator) -> None:
     """Fill the disk: the journal cannot grow."""
-    [most] = scene.memory.connection.execute("PRAGMA max_page_count").fetchone()
-    scene.memory.fill()
+    memory = scene.memory
+    assert memory is not None
+    [most] = memory.connection.execute("PRAGMA max_page_count").fetchone()
+    memory.fill()
     scene.journal_writable = False
-    scene.repairs.append(lambda: scene.memory.connection.execute(f"PRAGMA max_page_count = {most}"))
+    scene.repairs.append(lambda: memory.connection.execute(f"PRAGMA max_page_count = {most}"))
 
 
 def read_only(scene: FaultScene, _: Generator) -> None:

@@ -11,6 +11,8 @@ from campaigns.faults import cell_faults, computer_faults, controller_faults, pr
 from campaigns.faults.fault_scene import FaultScene
 
 CONTROLLER, CELL, COMPUTER, WIRE = "controller", "cell", "computer", "wire"
+KILLED = "killed"
+"""Name of the end of a run whose process is killed, which is not a fault of this table (`campaigns.crash_points`)."""
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from agent.execution.journal_reader import JournalReader
 from agent.execution.rig import Rig
 from agent.execution.supervisor import Supervisor
 from agent.planning.case_file import SHIPPED_CONFIGURATION
@@ -53,6 +54,8 @@ def _one_device(simulated: SimulatedMachineDevice, _: Clock) -> RigDevices:
 class FaultScene:
     """World, clock, device and journal of a night, and what a fault has told about itself.
 
+    `journal` opens the journal; `memory` is its database if it is in memory.
+
     `size` describes the size of the last fault in words. `stopped_s` is the first instant of a fault after which the
     axes must stand still, and `aborted_s` that of an abort by request, both in s of machine time. `repairs` are
     functions that remove the faults in the morning, in the order of the faults. `shared` and `proxy` are the world with
@@ -61,7 +64,8 @@ class FaultScene:
     """
 
     world: World
-    memory: InMemoryDatabase
+    journal: Callable[[], JournalReader]
+    memory: InMemoryDatabase | None = None
     clock: WatchedClock = field(default_factory=WatchedClock)
     device: FaultyDevice | None = None
     shared: SharedWorld[World] | None = None

@@ -15,6 +15,7 @@ from agent.execution.encoding import table_digest
 from agent.execution.journal_schema import FILE_NAME
 from agent.execution.rig import Rig
 from agent.runs.reconcile import reconcile
+from agent.runs.reference_state import ACTIVATING_DECISIONS
 from agent.runs.resume.abandon import abandon
 from agent.runs.session import RunResult
 from campaigns.aborts.case import FORMER_BANK, FORMER_TABLE
@@ -47,14 +48,16 @@ class Start(Enum):
 class EndedRun:
     """Run that has ended, with the object that has let its faults begin.
 
-    `ended` is the result of the run, or None if it raised the exception `defect`. `directory` contains the files of the
-    run.
+    `ended` is the result of the run, or None if it raised the exception `defect` or if `killed` is True. `directory`
+    contains the files of the run. The world goes on for `settle_s` seconds before anything else happens.
     """
 
     injector: FaultInjector
     ended: RunResult | None
     defect: BaseException | None
     directory: Path
+    killed: bool = False
+    settle_s: float = SETTLE_S
 
 
 def record_run(run: EndedRun, night: PlannedNight) -> NightRecord:
@@ -63,7 +66,7 @@ def record_run(run: EndedRun, night: PlannedNight) -> NightRecord:
     clock, controller = scene.clock, scene.world.controller
     clock.watched, clock.watch = False, None
     end_s, stood = clock.now(), controller.displayed_position()
-    clock.advance_to(end_s + SETTLE_S)
+    clock.advance_to(end_s + run.settle_s)
     moved_mm = float(np.abs(controller.displayed_position() - stood).max())
     device, active, former = scene.machine, controller.active_bank, controller.banks.get(FORMER_BANK)
     injector.written += [table_digest(image) for image in device.staged]
@@ -75,13 +78,13 @@ def record_run(run: EndedRun, night: PlannedNight) -> NightRecord:
     return NightRecord(
         seed=night.seed,
         night=night.night,
-        group=KINDS[night.kind].group,
+        group=night.group,
         kind=night.kind,
         second="" if night.second is None else night.second.kind,
         at_s=round(injector.begun[0][0], 3) if injector.begun else 0.0,
         size="; ".join([*injector.sizes, *([at_step] if at_step else [])]),
         resumed=injector.runs - 1,
-        must_resume=cleared and bool(injector.touches),
+        must_resume=cleared and bool(injector.acknowledged),
         must_end_well=cleared and injector.runs > 1 and not injector.begun,
         collisions=tuple(f"{one.body_a} with {one.body_b} at {one.time_s:.2f} s" for one in scene.world.collisions),
         stopped_s=scene.stopped_s,
@@ -93,7 +96,8 @@ def record_run(run: EndedRun, night: PlannedNight) -> NightRecord:
         former_intact=former is not None and former.same_as(FORMER_TABLE),
         written=tuple(injector.written),
         told_unrestored=UNRESTORED in told["reason"],
-        acknowledged_touches=len(injector.touches),
+        killed=run.killed,
+        acknowledged_touches=len(injector.acknowledged if run.killed else injector.touches),
         acknowledged_balls=injector.balls,
         journal_writable=scene.journal_writable,
         faulted=bool(kinds),
@@ -118,6 +122,8 @@ def _of_table(active: int, scene: FaultScene) -> dict[str, Any]:
 
 def _of_result(night: EndedRun) -> dict[str, Any]:
     """Return what the run has told its caller."""
+    if night.killed:
+        return {"reason": ""}
     if night.ended is None:
         raised = None if isinstance(night.defect, HangDetectedError) else repr(night.defect)
         return {"reason": "", "raised": raised or ""}
@@ -137,7 +143,7 @@ def _of_result(night: EndedRun) -> dict[str, Any]:
 def _of_journal(night: EndedRun) -> dict[str, Any]:
     """Return what the journal says of the run. Its reason also tells what could not be done at the end."""
     scene = night.injector.scene
-    journal = scene.memory.journal
+    journal = scene.journal()
     runs = journal.runs()
     if not runs:
         return {}
@@ -156,6 +162,8 @@ def _of_journal(night: EndedRun) -> dict[str, Any]:
         "journal_closed": run.ended is not None,
         "steps_after_abort": tuple(late),
     }
+    if night.killed:
+        found["accepted"] = journal.has_decision(run.run, ACTIVATING_DECISIONS)
     if run.reason and scene.journal_writable:
         found["reason"] = str(run.reason)
     return found

@@ -19,7 +19,8 @@ class NightRecord:
 
     `kind` is the kind of the first fault of the night, `second` that of its second one or empty; `faulted` is True if a
     fault has begun in this run. `resumed` is how many times the run had been resumed, and `later` the record of the
-    next resumption. `resume_refused` is the answer to a resumption that was refused. `must_resume` is True for a run
+    next resumption. `resume_refused` is the answer to a resumption that was refused. `killed` is True for a run
+    whose process was killed, which therefore has no end of its own. `must_resume` is True for a run
     that has measured and that can be resumed after its faults, `must_end_well` for a resumed run that nothing disturbs
     any more. `repeated` are the keys of touches that were measured again although they were
     acknowledged and not discarded.
@@ -74,6 +75,7 @@ class NightRecord:
     second: str = ""
     resumed: int = 0
     resume_refused: str = ""
+    killed: bool = False
     must_resume: bool = False
     must_end_well: bool = False
     repeated: tuple[str, ...] = ()
@@ -91,7 +93,9 @@ class NightRecord:
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> NightRecord:
         """Return the record with the fields of a JSON object."""
-        fields = {name: tuple(value) if isinstance(value, list) else value for name, value in document.items()}
+        fields: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value for name, value in document.items()
+        }
         if fields["later"] is not None:
             fields["later"] = cls.from_json(fields["later"])
         return cls(**fields)
@@ -207,7 +211,8 @@ def _measured_twice(night: NightRecord) -> str:
 
 
 def _not_resumed(night: NightRecord) -> str:
-    if night.must_resume and night.state == "faulted" and night.resume_refused:
+    unfinished = not night.journal_closed if night.killed else night.state == "faulted"
+    if night.must_resume and unfinished and night.resume_refused:
         return f"the run could not be resumed: {night.resume_refused}"
     if night.must_end_well and not night.accepted and night.state != "refused":
         return f"nothing disturbed the resumed run, and it ended {night.state}: {night.reason}"
@@ -229,12 +234,18 @@ INVARIANTS: Mapping[str, Callable[[NightRecord], str]] = {
 """Invariants by name. Each returns what is wrong in words, or an empty text."""
 
 
+OF_ENDED_RUNS = ("no motion after a stop", "compensation restored", "fault named", "stated end")
+"""Invariants of the end of a run, which a killed process cannot see to."""
+
+
 def violations(night: NightRecord) -> dict[str, str]:
     """Return what is wrong with the night and its resumed runs, by invariant; empty if nothing is.
 
     A night that could not be recorded violates only the invariant of its end, because the other facts are not known.
     """
     judged = {"stated end": _without_end} if night.failures else INVARIANTS
+    if night.killed and not night.failures:
+        judged = {name: judge for name, judge in INVARIANTS.items() if name not in OF_ENDED_RUNS}
     found = {name: judge(night) for name, judge in judged.items()}
     wrong = {name: text for name, text in found.items() if text}
     if night.later is None:

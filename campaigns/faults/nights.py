@@ -8,7 +8,7 @@ import gc
 import logging
 import os
 import sqlite3
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -18,29 +18,33 @@ import structlog
 
 from agent.execution.device_assembly import Devices
 from agent.execution.journal_schema import FILE_NAME
+from agent.execution.rig import Rig
 from agent.execution.supervisor import Supervisor
 from agent.planning.case_file import SHIPPED_CONFIGURATION
 from agent.runs.kinds.calibrate import FullCalibration
 from agent.runs.resume.resume import resume
 from agent.runs.run_context import RunHooks
 from agent.runs.session import RunResult, carry_out
+from agent.settings.schema import Settings
 from benchmarks.places import memory_directory
 from campaigns.aborts.case import InMemoryDatabase, prepare_case
 from campaigns.aborts.forked_copies import Forks
 from campaigns.faults.fault_injector import FaultInjector
-from campaigns.faults.fault_kinds import KINDS
 from campaigns.faults.fault_scene import FaultScene, build_world
 from campaigns.faults.judgement import EndedRun, Start, record_run, start_volcal
 from campaigns.faults.night_record import NightRecord
 from campaigns.faults.planned_night import LINKED_EVERY, PlannedNight, plan_night
 from campaigns.faults.real_links import CAN_BUSES, linked
 from campaigns.resume.case import cache_preflight
+from drivers.clock import Clock
 from drivers.errors import VolcalError
 from simulators.world.world import World
 
 CHILD_TIMEOUT_S = 600.0
 """Wall time in s for a copy on a busy computer: it may identify the whole machine."""
 
+
+MakeRig = Callable[[Clock, Settings], Rig]
 
 NIGHTS_PER_MACHINE = 50
 BANKS_OF_REGISTER_MAP = (1, 2)
@@ -59,14 +63,14 @@ def play_share(share: Share) -> tuple[list[NightRecord], float]:
     """Return the records of the nights of one machine, and the CPU time in s that they took with their copies."""
     # What a driver logs of each disturbed frame is not what the trial reports.
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
-    began_s = _cpu_s()
+    began_s = cpu_s()
     nights = [plan_night(share.seed, night) for night in range(share.first, share.end)]
     machine = machine_seed(share.seed, share.first)
     records = play_nights([one for one in nights if not one.link], machine)
     for night in nights:
         if night.link:
             records += play_nights([night], machine, forked=False)
-    return sorted(records, key=lambda night: night.night), _cpu_s() - began_s
+    return sorted(records, key=lambda night: night.night), cpu_s() - began_s
 
 
 def machine_seed(seed: int, night: int) -> int:
@@ -74,7 +78,8 @@ def machine_seed(seed: int, night: int) -> int:
     return 1000 * seed + night // NIGHTS_PER_MACHINE
 
 
-def _cpu_s() -> float:
+def cpu_s() -> float:
+    """Return the CPU time in s of this process and of its ended copies."""
     spent = os.times()
     return spent.user + spent.system + spent.children_user + spent.children_system
 
@@ -92,7 +97,7 @@ def play_nights(nights: Sequence[PlannedNight], world_seed: int, *, forked: bool
     with _scene(world) as (scene, directory), linked(scene, link, directory, bus):
 
         def receive(night: PlannedNight, result: Mapping[str, Any]) -> None:
-            records.append(_received(night, result, scene.clock.now()))
+            records.append(received_record(night, result, scene.clock.now()))
 
         injector = FaultInjector(scene, nights, duration_s, receive, forked, Forks(CHILD_TIMEOUT_S))
         if forked:  # what is alive stays on pages that the copies share
@@ -102,29 +107,30 @@ def play_nights(nights: Sequence[PlannedNight], world_seed: int, *, forked: bool
             run = _carry_out(injector, directory)
             if injector.forks.is_child:
                 assert injector.night is not None
-                injector.forks.send_and_exit(asdict(_judged(injector.night, run)))
+                injector.forks.send_and_exit(asdict(judge_night(injector.night, run)))
         except BaseException as error:
             if injector.forks.is_child:  # a copy must never continue as its parent
                 injector.forks.send_and_exit({"failures": [f"could not be judged: {error!r}"]})
             raise
         if injector.night is not None:
-            return [_judged(injector.night, run)]
+            return [judge_night(injector.night, run)]
         if forked:
             gc.unfreeze()
         missed = {one.night for one in nights} - {one.night for one in records}
-        return [*records, *(replace(_judged(one, run), reached=False) for one in nights if one.night in missed)]
+        return [*records, *(replace(judge_night(one, run), reached=False) for one in nights if one.night in missed)]
 
 
-def _received(night: PlannedNight, result: Mapping[str, Any], now_s: float) -> NightRecord:
+def received_record(night: PlannedNight, result: Mapping[str, Any], now_s: float) -> NightRecord:
     """Return the record that a copy has sent, or one with the reasons why it has sent none."""
     if "night" in result:
         return NightRecord.from_json(result)
     failures = tuple(str(one) for one in result["failures"])
-    return NightRecord(night.seed, night.night, KINDS[night.kind].group, night.kind, round(now_s, 3), failures=failures)
+    return NightRecord(night.seed, night.night, night.group, night.kind, round(now_s, 3), failures=failures)
 
 
-def _judged(night: PlannedNight, run: EndedRun) -> NightRecord:
-    """Return the record of a night after its run: its mornings follow."""
+def judge_night(night: PlannedNight, run: EndedRun, make_rig: MakeRig | None = None) -> NightRecord:
+    """Return the record of a night after its run: its mornings follow. `make_rig` makes the rig of a resumed run, by
+    default that of the injector."""
     record = record_run(run, night)
     injector = run.injector
     for number, morning in enumerate(night.mornings):
@@ -136,12 +142,12 @@ def _judged(night: PlannedNight, run: EndedRun) -> NightRecord:
             continue
         injector.start_again()
         try:
-            resumed = _resume(injector, run.directory)
+            resumed = _resume(injector, run.directory, make_rig)
         except VolcalError as refusal:
             record = replace(record, resume_refused=str(refusal))
             continue
         rest = replace(night, mornings=night.mornings[number + 1 :])
-        return replace(record, later=_judged(rest, resumed))
+        return replace(record, later=judge_night(rest, resumed, make_rig))
     return record
 
 
@@ -169,7 +175,7 @@ def _undisturbed_duration_s() -> float:
 @contextmanager
 def _scene(world: World) -> Iterator[tuple[FaultScene, Path]]:
     memory = InMemoryDatabase.replace_files()
-    scene = FaultScene(world, memory)
+    scene = FaultScene(world, lambda: memory.journal, memory)
     connect = sqlite3.connect
 
     def kept(*values: Any, **options: Any) -> sqlite3.Connection:
@@ -186,7 +192,7 @@ def _scene(world: World) -> Iterator[tuple[FaultScene, Path]]:
 
 def _carry_out(injector: FaultInjector, directory: Path) -> EndedRun:
     job = prepare_case(directory, stations={"standing_at": 1})
-    hooks = _hooks(injector)
+    hooks = run_hooks(injector)
     ended: RunResult | None = None
     defect: BaseException | None = None
     try:
@@ -197,13 +203,13 @@ def _carry_out(injector: FaultInjector, directory: Path) -> EndedRun:
     return EndedRun(injector, ended, defect, directory)
 
 
-def _resume(injector: FaultInjector, directory: Path) -> EndedRun:
+def _resume(injector: FaultInjector, directory: Path, make_rig: MakeRig | None) -> EndedRun:
     """Resume the run as `volcal resume` does. Raises VolcalError if that is refused."""
     (directory / "state" / FILE_NAME).touch()  # the journal itself is in memory
     ended: RunResult | None = None
     defect: BaseException | None = None
     try:
-        ended = resume(directory / "state", _hooks(injector))
+        ended = resume(directory / "state", run_hooks(injector, make_rig))
     except VolcalError:
         raise
     except BaseException as error:  # noqa: BLE001  a copy must never continue as its parent
@@ -213,15 +219,19 @@ def _resume(injector: FaultInjector, directory: Path) -> EndedRun:
     return EndedRun(injector, ended, defect, directory)
 
 
-def _hooks(injector: FaultInjector) -> RunHooks:
+def run_hooks(injector: FaultInjector, make_rig: MakeRig | None = None) -> RunHooks:
+    """Return the hooks of a run whose faults `injector` lets begin. `make_rig` makes its rig, by default that of the
+    injector."""
     scene = injector.scene
+
+    made = make_rig or injector.rig
 
     def keep(supervisor: Supervisor) -> None:
         scene.supervisor = supervisor
 
     return RunHooks(
         attach=keep,
-        devices=Devices(lambda settings, clock, _: injector.rig(clock, settings), lambda _: scene.clock),
+        devices=Devices(lambda settings, clock, _: made(clock, settings), lambda _: scene.clock),
         lock=lambda *_: nullcontext(),  # a copy would share the lock with its parent
         write_files=False,
         answers=injector.answers,

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.random import Generator
 
-from campaigns.faults.fault_kinds import KINDS
+from campaigns.faults.fault_kinds import COMPUTER, KILLED, KINDS
 
 PUBLISHING = ("before/active-table", "publish/stage", "publish/read-back", "activate/activate", "activate/active-bank")
 """Keys of the steps that read, write or activate tables; they take no machine time, so that no drawn instant of time
@@ -75,6 +75,10 @@ class PlannedNight:
     def link(self) -> str:
         """Kind of the real link of the night; empty if there is none."""
         return KINDS[self.kind].link
+
+    @property
+    def group(self) -> str:
+        return COMPUTER if self.kind == KILLED else KINDS[self.kind].group
 
     def generator(self, fault: int) -> Generator:
         """Return the generator of the size of the fault with the number `fault`, from 1 on."""
