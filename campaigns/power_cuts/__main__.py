@@ -9,8 +9,8 @@ call the power is cut in three ways: everything is kept (the process was killed)
 a part, sector by sector. Then the journal and the file are opened as after a start, and everything that had been
 acknowledged must be there, whole. The exit code is 0 only if nothing was lost.
 
-`--synchronous NORMAL` weakens the journal, and `--ignore NAME` leaves the synchronisation of one file or directory out:
-the trial must find what they lose.
+`--synchronous NORMAL` weakens the journal, and `--ignore NAME` leaves the synchronisation of the files or directories
+with such names out: the trial must find what they lose.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import json
 import sys
 import tempfile
 from collections.abc import Sequence
+from fnmatch import fnmatch
 from pathlib import Path
 from time import perf_counter
 
@@ -35,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--every", type=int, default=1, metavar="K", help="cut after each K-th call")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--synchronous", default="", help="mode of SQLite that replaces the journal's own")
-    parser.add_argument("--ignore", default="", metavar="NAME", help="leave the synchronisation of this path out")
+    parser.add_argument("--ignore", default="", metavar="NAME", help="leave the synchronisation of such paths out")
     given = parser.parse_args(arguments)
     began = perf_counter()
     with tempfile.TemporaryDirectory(prefix="volcal-power-cuts-") as name, memory_directory("power-cuts") as work:
@@ -45,7 +46,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if given.synchronous:
             command += ["--synchronous", given.synchronous]
         calls = recorded_calls(directory, command, Path(name) / "calls")
-        ignored = {call.path for call in calls if isinstance(call, Synced) and Path(call.path).name == given.ignore}
+        ignored = {
+            call.path for call in calls if isinstance(call, Synced) and fnmatch(Path(call.path).name, given.ignore)
+        }
         result = cut_everywhere(calls, directory, Path(work), given.seed, given.every, sorted(ignored))
     passed = bool(result.cuts) and not result.lost
     document = {
