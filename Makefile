@@ -96,10 +96,10 @@ grbl: setup
 faults: setup
 	$(BIN)/python -m campaigns.faults --count $(COUNT) --seed $(SEED) --workers 2
 
-# Two runs with write-back whose process is killed at 700 points: at commits of the journal, around commands, in motions.
-# Half an hour of CPU time; ends with one line of JSON. EVERY=1 EVERY_OTHER=1: each point, twelve hours.
-EVERY ?= 60
-EVERY_OTHER ?= 4
+# Two runs with write-back whose process is killed at some 700 points: at commits of the journal, around commands, in
+# motions. Half an hour of CPU time; ends with one line of JSON. EVERY=1: each point, half a day.
+EVERY ?= 30
+EVERY_OTHER ?= 1
 crash-points: setup
 	$(BIN)/python -m campaigns.crash_points --every $(EVERY) --every-other $(EVERY_OTHER) --seed $(SEED) --workers 2
 
