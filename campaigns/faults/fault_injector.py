@@ -71,6 +71,7 @@ class FaultInjector:
     def start_again(self) -> None:
         """Prepare for the resumption of the run."""
         self.over, self._unacknowledged = False, ""
+        self.touches[:] = self.acknowledged  # one that the run before could not record is made again
         self.begun.clear()
         self.sizes.clear()
         self.scene.start_again()
