@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup run test quick check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming foreign linuxcnc grbl faults gcode part-programs schema reference figures deb deb-test clean
+.PHONY: setup run test quick check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming foreign linuxcnc grbl faults crash-points power-cuts gcode part-programs schema reference figures deb deb-test clean
 
 setup: $(STAMP)
 
@@ -91,10 +91,22 @@ EVENTS ?= 600
 grbl: setup
 	$(BIN)/python -m campaigns.grbl --events $(EVENTS)
 
-# Short calibrations, each with one fault of the controller, the cell, the computer or the wire at a random instant. Some
-# hours of CPU time; ends with one line of JSON.
+# Short calibrations, each with one or two faults of the controller, the cell, the computer or the wire at random instants;
+# unfinished runs are resumed. Some hours of CPU time; ends with one line of JSON.
 faults: setup
 	$(BIN)/python -m campaigns.faults --count $(COUNT) --seed $(SEED) --workers 2
+
+# Two runs with write-back whose process is killed at some 700 points: at commits of the journal, around commands, in
+# motions. Half an hour of CPU time; ends with one line of JSON. EVERY=1: each point, half a day.
+EVERY ?= 30
+EVERY_OTHER ?= 1
+crash-points: setup
+	$(BIN)/python -m campaigns.crash_points --every $(EVERY) --every-other $(EVERY_OTHER) --seed $(SEED) --workers 2
+
+# Power cuts at each system call of a process that writes a journal, replayed on a disk that loses what was not synchronised.
+power-cuts: setup
+	.ci/install strace
+	$(BIN)/python -m campaigns.power_cuts --seed $(SEED)
 
 # A million lines of a part program corrected: seconds, memory, and the ratio to one block at a time.
 gcode: setup

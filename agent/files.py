@@ -78,7 +78,7 @@ def write_all_atomically(directory: Path, contents: Mapping[str, str | bytes], r
     """
     staged: dict[Path, Path] = {}
     try:
-        directory.mkdir(parents=True, exist_ok=True)
+        create_directory(directory)
         for name, content in contents.items():
             target = directory / name
             if target.is_dir():
@@ -98,6 +98,16 @@ def write_all_atomically(directory: Path, contents: Mapping[str, str | bytes], r
     finally:
         for temporary in staged.values():
             temporary.unlink(missing_ok=True)
+
+
+def create_directory(directory: Path) -> None:
+    """Create `directory`, and the directories above it that are missing, so that they are on the disk when the function
+    returns: otherwise a power cut could lose them with files in them that are on the disk. Raises OSError."""
+    missing = [directory, *directory.parents]
+    missing = [path for path in missing if not path.is_dir()]
+    directory.mkdir(parents=True, exist_ok=True)
+    for path in missing:
+        sync_directory(path.parent)
 
 
 def check_folder(folder: Path) -> None:

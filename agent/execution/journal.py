@@ -25,6 +25,7 @@ from agent.execution.journal_schema import FILE_NAME, prepare
 from agent.execution.replay_log import ReplayLog, comparable_estimate, read_replay_log
 from agent.execution.states import RunState
 from agent.execution.steps import Conclude, Enter, ReadTemperatures, Record, Step
+from agent.files import create_directory
 from drivers.clock import Clock, utc_timestamp
 from drivers.errors import ConfigurationError
 from drivers.roles import TableImage
@@ -44,7 +45,7 @@ class Journal:
     def __init__(self, directory: Path) -> None:
         self.path = directory / FILE_NAME
         try:
-            directory.mkdir(parents=True, exist_ok=True)
+            create_directory(directory)
             require_same_version(directory)
             self._connection = sqlite3.connect(self.path, isolation_level=None, timeout=2.0)
             prepare(self._connection, self.path)

@@ -51,7 +51,8 @@ def has_journal(directory: Path) -> bool:
     """Return True if the state directory `directory` contains a journal; there is none before the first run.
 
     A file without tables, which a full disk or a power cut can leave, is no journal yet: the next run creates its
-    tables. A file that cannot be read is one, and the functions that read it say what is wrong.
+    tables. The same holds while the creation that was interrupted has not been rolled back. A file that cannot be read
+    is one, and the functions that read it say what is wrong.
     """
     path = directory / FILE_NAME
     if not path.is_file():
@@ -59,23 +60,36 @@ def has_journal(directory: Path) -> bool:
     try:
         with _connection(path) as connection:
             return not is_empty(connection)
-    except sqlite3.Error:
-        return True
+    except sqlite3.Error as error:
+        return not _is_to_be_rolled_back(error)
+
+
+def _is_to_be_rolled_back(error: sqlite3.Error) -> bool:
+    """Return True if reading has failed because the creation of the database was interrupted, and only a writer can
+    roll it back. Later the database has a write-ahead log, which readers recover themselves."""
+    return error.sqlite_errorname == "SQLITE_READONLY_ROLLBACK"
 
 
 @contextmanager
-def _connection(path: Path) -> Iterator[sqlite3.Connection]:
-    uri = f"{path.resolve().as_uri()}?mode=ro"
+def _connection(path: Path, option: str = "mode=ro") -> Iterator[sqlite3.Connection]:
+    uri = f"{path.resolve().as_uri()}?{option}"
     with closing(sqlite3.connect(uri, uri=True, timeout=_TIMEOUT_S)) as connection:
         yield connection
 
 
 def require_same_version(directory: Path) -> None:
     """Raise ConfigurationError if the state directory contains a journal of a different version of volcal. The file is
-    not changed, not even as SQLite changes a file that is opened for writing."""
+    not changed, not even as SQLite changes a file that is opened for writing, unless its creation was interrupted."""
     path = directory / FILE_NAME
-    if path.is_file():
+    if not path.is_file():
+        return
+    try:
         with _connection(path) as connection:
+            require_version(connection, path, ConfigurationError)
+    except sqlite3.OperationalError as error:
+        if not _is_to_be_rolled_back(error):
+            raise
+        with _connection(path, "mode=rw") as connection:
             require_version(connection, path, ConfigurationError)
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TextIO
 
 from agent.errors import Busy
+from agent.files import create_directory
 from drivers.errors import ConfigurationError
 
 FILE_NAME = "run.lock"
@@ -85,7 +86,7 @@ class Ownership:
 
 def _open_lock_file(directory: Path) -> TextIO:
     try:
-        directory.mkdir(parents=True, exist_ok=True)
+        create_directory(directory)
         return (directory / FILE_NAME).open("a+", encoding="utf-8")
     except OSError as error:
         raise ConfigurationError(

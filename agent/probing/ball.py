@@ -84,8 +84,10 @@ def measure_ball(
 
     If the sphere fitted to the touches exceeds a limit, the touches that may have caused this are repeated first, then
     all touches of the ball. If the ball is found far from its expected centre, it is measured again about the centre
-    found, because all balls must be touched along the same surface normals. If `search.guarded_feed_mm_per_s` is set,
-    because the location of the ball is not known, the ball is first located by touches that stay away from its holder.
+    found, because all balls must be touched along the same surface normals. If the touches contradict each other by
+    more than that, as those of a ball that is moved between them, it is measured again with the long search distances
+    and the feed for a ball whose location is not known. If `search.guarded_feed_mm_per_s` is set, because the location
+    of the ball is not known, the ball is first located by touches that stay away from its holder.
 
     After the first touch that meets nothing (a miss), the longer distances of `probing.wide_search` are used. If a
     touch with these distances misses too, the ball is given up. If the ball is given up or all repeats fail,
@@ -155,6 +157,9 @@ class _Ball:
             latched.append(touched)
         points = np.array(latched)
         fit = self._fit_corrected(points)
+        if fit is not None and fit.form > self._probing.recentre_mm:
+            yield from self._search_again(key, fit, last)
+            return None
         gate = None if fit is None or self._distance_mm(fit) > self._probing.recentre_mm else self._gate(fit)
         if fit is not None and gate is not None:
             fit, points, gate = yield from self._repeat_doubtful(key, fit, points, gate)
@@ -162,6 +167,13 @@ class _Ball:
             yield Record(f"{key}/again", "event", self._note(self.reason, last))
             return None
         return (yield from self._judge(key, fit, points, gate, number, last))
+
+    def _search_again(self, key: str, fit: SphereFit, last: bool) -> Plan[None]:
+        """Repeat the ball as one whose location is not known, because the touches contradict each other: it may have
+        moved between them, and then it is near none of the places where they saw it."""
+        self._centre, self._search, self.small = fit.centre, self._probing.locating_search, None
+        self.reason = f"its touches contradict each other by {fit.form:.3f} mm"
+        yield Record(f"{key}/again", "event", self._note(self.reason, last))
 
     def _judge(
         self, key: str, fit: SphereFit, points: Vector, gate: FailedGate | None, number: int, last: bool

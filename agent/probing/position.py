@@ -129,8 +129,8 @@ def measure_position(
     sequence = own.sequence(task)
     first, last, third = sequence.first, sequence.last, sequence.third
     yield from own.turn(task, here)
-    yield from wait_until_settled(task.key, rules.settling, before)
-    measuring = _Measuring(task, rules, own)
+    settled = yield from wait_until_settled(task.key, rules.settling, before)
+    measuring = _Measuring(task, rules, own, settled)
     yield from own.enter(task, first)
     found_first = yield from measuring.pose_ball(
         first, task.predicted_mm, rules.probing.wide_search if task.located else rules.probing.locating_search
@@ -156,12 +156,13 @@ class _Measuring:
     """State of the measurement of one position: the balls found, the number of lost balls, and the number of
     touches."""
 
-    def __init__(self, task: PositionTask, rules: PositionRules, planner: PathPlanner) -> None:
+    def __init__(self, task: PositionTask, rules: PositionRules, planner: PathPlanner, conditions: Conditions) -> None:
         self._task = task
         self._probing = rules.probing
         self._planner = planner
         self._by_hand = rules.placement is not None
-        self._thermometers = rules.settling.thermometers
+        self._settling = rules.settling
+        self._conditions = conditions
         self._consistency = rules.consistency
         self._repeats_first = rules.repeat_first_ball
         self.last_mm = task.predicted_mm[task.balls[0]]
@@ -258,7 +259,9 @@ class _Measuring:
         return drift
 
     def _measured(self, key: str, ball: int, found: FittedBall) -> Plan[MeasuredBall]:
-        conditions = yield from read_conditions(key, self._thermometers)
+        conditions = yield from read_conditions(key, self._settling.thermometers)
+        self._settling.require_no_jump(key, self._conditions, conditions)
+        self._conditions = conditions
         task = self._task
         return MeasuredBall(task.index, task.station, task.azimuth_deg, task.elevation_deg, ball, found, conditions)
 

@@ -16,6 +16,9 @@ MIN_TREND_S = 60.0
 """Minimum time span of the readings in s. Over a shorter span, their slope shows the noise of the thermometer, not a
 rate of change."""
 TREND_WINDOW_S = 600.0
+JUMP_K = 1.0
+"""Change in K between two readings, beyond the permitted rate, that no artefact makes: what shows it is not the
+temperature of the artefact."""
 
 
 @dataclass(frozen=True)
@@ -50,15 +53,29 @@ class SettlingRules:
             return f"the artefact changes by {rate:+.1f} K/h, allowed {self.max_rate_k_per_h:g} K/h"
         return ""
 
+    def require_no_jump(self, key: str, before: Conditions, now: Conditions) -> None:
+        """Raise MeasurementFault, which names the step `key`, if the temperature of the artefact has jumped between two
+        readings, such as that of a thermometer that has failed or fallen off."""
+        allowed_k = JUMP_K + self.max_rate_k_per_h * (now.instant_s - before.instant_s) / (60.0 * S_PER_MIN)
+        if abs(now.artefact_c - before.artefact_c) > allowed_k:
+            raise MeasurementFault(
+                f"the artefact's temperature jumped from {before.artefact_c:.2f} to {now.artefact_c:.2f} °C within "
+                f"{now.instant_s - before.instant_s:.0f} s",
+                hint="check the thermometer of the artefact and its contact, then start again",
+                step=key,
+            )
+
 
 def wait_until_settled(key: str, rules: SettlingRules, history: Sequence[Conditions]) -> Plan[Conditions]:
     """Wait, if necessary, until the artefact has settled thermally; return the temperature readings at the end of the
     wait. The machine does not move.
 
-    `history` holds the readings taken with the previous balls, oldest first. Raises MeasurementFault if the artefact
-    has not settled at the deadline `rules.deadline_s`.
+    `history` holds the readings taken with the previous balls, oldest first. Raises MeasurementFault if the
+    temperature of the artefact has jumped, or if it has not settled at the deadline `rules.deadline_s`.
     """
     trace = [*history, (yield from read_conditions(key, rules.thermometers))]
+    if history:
+        rules.require_no_jump(key, history[-1], trace[-1])
     attempts = math.ceil(rules.deadline_s / rules.poll_interval_s)
     for attempt in range(1, attempts + 1):
         complaint = rules.complaint(trace)

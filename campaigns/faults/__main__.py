@@ -1,4 +1,4 @@
-"""Trial of short calibrations, each with one fault at a random instant. The output ends with one line of JSON.
+"""Trial of short calibrations, each with one or two faults at random instants. The output ends with one line of JSON.
 
     python -m campaigns.faults [--count 10000] [--seed 1] [--workers 2] [--only NIGHT]
 
@@ -6,7 +6,9 @@ Each night is a whole run with probe check, qualification, measuring, identifica
 verification on a simulated machine, with the table of an earlier run (the former table) active. One fault of the
 controller, the cell, the computer or the wire begins at a random instant with a random size. Fifty nights have one
 machine and share the time before their faults: the process is forked at each of them. One night in 25 has a real Modbus
-TCP link with a proxy that disturbs it. After the night the fault is removed and volcal is started again.
+TCP link with a proxy that disturbs it. In a third of the nights a second fault begins: while the run ends because of
+the first one, or in the resumed run. In the morning the faults are removed. Volcal is started again, or its run is
+resumed, or given up; a resumed run is judged as the night was.
 
 A night that violates an invariant is printed, one JSON object a line, with its seed and number; `--only NIGHT` plays it
 again in this process and prints its whole record. The exit code is 0 only if no invariant is violated.
@@ -28,9 +30,9 @@ from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # must be set before numpy is imported
 
-from campaigns.faults.fault_kinds import plan_fault
 from campaigns.faults.night_record import INVARIANTS, NightRecord, left_to_a_person, violations
 from campaigns.faults.nights import NIGHTS_PER_MACHINE, Share, machine_seed, play_nights, play_share
+from campaigns.faults.planned_night import plan_night
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -44,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     records: list[NightRecord] = []
     cpu_s = 0.0
     if given.only is not None:
-        records = play_nights([plan_fault(given.seed, given.only)], machine_seed(given.seed, given.only), forked=False)
+        records = play_nights([plan_night(given.seed, given.only)], machine_seed(given.seed, given.only), forked=False)
         print(json.dumps(asdict(records[0]), default=str))
         cpu_s = process_time()
     for found, used_s in [] if given.only is not None else _played(given.seed, given.count, given.workers):
@@ -77,11 +79,14 @@ def _played(seed: int, count: int, workers: int) -> Iterator[tuple[list[NightRec
 def _summary(night: NightRecord) -> dict[str, Any]:
     return {
         "kind": night.kind,
+        "second": night.second,
         "at_s": night.at_s,
         "size": night.size,
         "state": night.state,
         "reason": night.reason,
         "morning": night.morning_says,
+        **({"not_resumed": night.resume_refused} if night.resume_refused else {}),
+        **({} if night.later is None else {"later": _summary(night.later)}),
     }
 
 
@@ -95,11 +100,20 @@ def summarise(records: Sequence[NightRecord]) -> dict[str, Any]:
         "by_kind": dict(sorted(Counter(night.kind for night in records).items())),
         "ended": dict(sorted(Counter(night.state for night in records).items())),
         "before_the_fault": sum(not night.reached for night in records),
-        "accepted": sum(night.accepted for night in records),
+        "with_a_second_fault": sum(_second_begun(night) for night in records),
+        "resumed": sum(night.later is not None for night in records),
+        "resumed_twice": sum(night.last.resumed > 1 for night in records),
+        "resumed_to": dict(sorted(Counter(night.last.state for night in records if night.later is not None).items())),
+        "resumption_refused": sum(bool(night.last.resume_refused) for night in records),
+        "accepted": sum(night.last.accepted for night in records),
         "left_to_the_morning": sum(night.active != night.former and not night.accepted for night in records),
-        "left_to_a_person": sum(map(left_to_a_person, records)),
+        "left_to_a_person": sum(left_to_a_person(night.last) for night in records),
         "violations": {name: violated[name] for name in INVARIANTS},
     }
+
+
+def _second_begun(night: NightRecord) -> bool:
+    return bool(night.second) and ";" in night.size
 
 
 if __name__ == "__main__":

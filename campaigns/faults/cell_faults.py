@@ -95,12 +95,7 @@ def inches(scene: FaultScene, rng: Generator) -> None:
         inch = {name: tuple(value / MM_PER_INCH for value in getattr(found, name)) for name in vars(found)}
         return AxisLimits(**inch)
 
-    device.altered |= {
-        "move_to": move,
-        "touch_towards": touch,
-        "position": lambda real: real() / MM_PER_INCH,
-        "limits": limits,
-    }
+    device.alter(move_to=move, touch_towards=touch, position=lambda real: real() / MM_PER_INCH, limits=limits)
 
 
 def thermometer_stuck(scene: FaultScene, rng: Generator) -> None:
@@ -111,7 +106,7 @@ def thermometer_stuck(scene: FaultScene, rng: Generator) -> None:
     def read(real: Any) -> Mapping[str, float]:
         return dict.fromkeys(real(), value)
 
-    scene.machine.altered["temperatures_c"] = read
+    scene.machine.alter(temperatures_c=read)
 
 
 def probe_battery(scene: FaultScene, _: Generator) -> None:

@@ -15,18 +15,19 @@ ABORT_REASON = "a person walks in"
 
 def disk_full(scene: FaultScene, _: Generator) -> None:
     """Fill the disk: the journal cannot grow."""
-    [most] = scene.memory.connection.execute("PRAGMA max_page_count").fetchone()
-    scene.memory.fill()
+    memory = scene.memory
+    assert memory is not None
+    [most] = memory.connection.execute("PRAGMA max_page_count").fetchone()
+    memory.fill()
     scene.journal_writable = False
-    scene.repairs.append(lambda: scene.memory.connection.execute(f"PRAGMA max_page_count = {most}"))
+    scene.repairs.append(lambda: memory.connection.execute(f"PRAGMA max_page_count = {most}"))
 
 
 def read_only(scene: FaultScene, _: Generator) -> None:
     """Make the journal read-only, as a file system does after an error of its disk."""
     scene.journal_writable = False
-    for connection in scene.connections:
-        connection.execute("PRAGMA query_only = 1")
-    scene.repairs.append(lambda: [one.execute("PRAGMA query_only = 0") for one in scene.connections])
+    scene.tell_connections("PRAGMA query_only = 1")
+    scene.repairs.append(lambda: scene.tell_connections("PRAGMA query_only = 0"))
 
 
 def calendar_jumps(scene: FaultScene, rng: Generator) -> None:
@@ -61,14 +62,14 @@ def starved(scene: FaultScene, rng: Generator) -> None:
 def abort(scene: FaultScene, _: Generator) -> None:
     """Let a person abort the run."""
     assert scene.supervisor is not None
-    scene.aborted_s = scene.clock.now()
+    scene.note_abort()
     scene.supervisor.request_abort(ABORT_REASON)
 
 
 def interruption(scene: FaultScene, _: Generator) -> None:
     """Ask the program to end, as systemd does at a shutdown."""
     assert scene.supervisor is not None
-    scene.aborted_s = scene.clock.now()
+    scene.note_abort()
     scene.supervisor.request_interruption("SIGTERM")
 
 
@@ -82,7 +83,7 @@ def hold(scene: FaultScene, rng: Generator) -> None:
 
     def end() -> None:
         if aborted:
-            scene.aborted_s = scene.clock.now()
+            scene.note_abort()
             supervisor.request_abort(ABORT_REASON)
         else:
             supervisor.request_resume()

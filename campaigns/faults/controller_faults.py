@@ -33,18 +33,18 @@ def busy(scene: FaultScene, rng: Generator) -> None:
         if name in COMMANDS and scene.clock.now() < until_s:
             raise CommandRejected("the controller is busy", hint="wait until it is ready", device=DEVICE)
 
-    scene.machine.before = refuse
+    scene.machine.check(refuse)
 
 
 def emergency_stop(scene: FaultScene, _: Generator) -> None:
     """Press the emergency stop; it is released in the morning."""
     scene.world.controller.fail("emergency stop")
-    scene.stopped_s = scene.clock.now()
+    scene.note_stop()
 
     def refuse(_: Any) -> None:
         raise CommandRejected("the emergency stop is pressed", hint="release it", device=DEVICE)
 
-    scene.machine.altered["reset"] = refuse
+    scene.machine.alter(reset=refuse)
 
 
 def door(scene: FaultScene, _: Generator) -> None:
@@ -52,7 +52,7 @@ def door(scene: FaultScene, _: Generator) -> None:
     controller = scene.world.controller
     controller.granted[Permission.DOORS_CLOSED] = False
     controller.fail("door opened")
-    scene.stopped_s = scene.clock.now()
+    scene.note_stop()
     scene.repairs.append(lambda: controller.granted.update({Permission.DOORS_CLOSED: True}))
 
 
@@ -66,13 +66,14 @@ def wrong_bank(scene: FaultScene, rng: Generator) -> None:
         asked[:] = [bank]
         real(OTHER_BANK)
         if not lasting:
-            del scene.machine.altered["activate"]
+            end()
 
     def active_bank(real: Any) -> int:
         found = int(real())
         return asked[0] if lies and found == OTHER_BANK else found
 
-    scene.machine.altered |= {"activate": activate, "active_bank": active_bank}
+    end = scene.machine.alter(activate=activate)
+    scene.machine.alter(active_bank=active_bank)
 
 
 def no_effect(scene: FaultScene, rng: Generator) -> None:
@@ -87,7 +88,7 @@ def no_effect(scene: FaultScene, rng: Generator) -> None:
     def active_bank(real: Any) -> int:
         return asked[0] if lies and asked else int(real())
 
-    scene.machine.altered |= {"activate": activate, "active_bank": active_bank}
+    scene.machine.alter(activate=activate, active_bank=active_bank)
 
 
 def flipped_bit(scene: FaultScene, rng: Generator) -> None:
@@ -101,7 +102,7 @@ def flipped_bit(scene: FaultScene, rng: Generator) -> None:
         flat[int(where * flat.size)] ^= 1 << bit
         real(bank, replace(table, counts=counts))
 
-    scene.machine.altered["stage"] = stage
+    scene.machine.alter(stage=stage)
 
 
 def _distorted(scene: FaultScene, factor: float) -> None:
@@ -116,7 +117,7 @@ def _distorted(scene: FaultScene, factor: float) -> None:
         return held.get(bank) or real(bank)
 
     scene.size = f"factor {factor:g}"
-    scene.machine.altered |= {"stage": stage, "read_table": read_table}
+    scene.machine.alter(stage=stage, read_table=read_table)
 
 
 def reversed_sign(scene: FaultScene, _: Generator) -> None:
@@ -136,10 +137,10 @@ def refused_table(scene: FaultScene, rng: Generator) -> None:
 
     def refuse(_: Any, *__: Any) -> Any:
         if not lasting:
-            del scene.machine.altered[name]
+            end()
         raise StoreError("the store refuses", hint="check its protection", device=DEVICE)
 
-    scene.machine.altered[name] = refuse
+    end = scene.machine.alter(**{name: refuse})
 
 
 def stale_latch(scene: FaultScene, rng: Generator) -> None:
@@ -160,7 +161,7 @@ def stale_latch(scene: FaultScene, rng: Generator) -> None:
         left -= 1
         return stale
 
-    scene.machine.altered["touch_towards"] = touch
+    scene.machine.alter(touch_towards=touch)
 
 
 def stops_short(scene: FaultScene, rng: Generator) -> None:
@@ -169,8 +170,8 @@ def stops_short(scene: FaultScene, rng: Generator) -> None:
     scene.size = f"after {100.0 * part:.0f} % of the way"
 
     def move(real: Any, target_mm: Vector, *, feed_mm_per_s: float | None, guarded: bool) -> None:
-        del scene.machine.altered["move_to"]
+        end()
         began = scene.world.controller.displayed_position()
         real(began + part * (target_mm - began), feed_mm_per_s=feed_mm_per_s, guarded=guarded)
 
-    scene.machine.altered["move_to"] = move
+    end = scene.machine.alter(move_to=move)

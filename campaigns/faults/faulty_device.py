@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -30,26 +31,28 @@ class HangDetectedError(BaseException):
 
 
 class WatchedClock(AlarmClock):
-    """Virtual clock that detects a night without an end, by its machine time or by the number of its waits."""
+    """Virtual clock that starts at `start_s` and detects a run without an end, by its machine time or by the number of
+    its waits."""
 
-    def __init__(self) -> None:
+    def __init__(self, start_s: float = 0.0) -> None:
         super().__init__()
-        self.watched = True
+        self.watched = False
         self.hung = False
         self._advances = 0
+        self._latest_s = start_s + LONGEST_NIGHT_S
+        self.advance_to(start_s)
+        self.watched = True
 
     def advance_to(self, instant_s: float) -> None:
         self._advances += 1
-        if self.watched and (instant_s > LONGEST_NIGHT_S or self._advances > MOST_ADVANCES):
+        if self.watched and (instant_s > self._latest_s or self._advances > MOST_ADVANCES):
             self.hung = True
             raise HangDetectedError
         super().advance_to(instant_s)
 
 
 class FaultyDevice:
-    """Proxy of the device of a simulated machine. `before(name)` is called before each call of the device and may raise
-    an error. `altered` maps the names of methods to functions that are called instead, with the real method as first
-    argument.
+    """Proxy of the device of a simulated machine. Faults check its calls and alter its methods.
 
     As every driver does, the proxy of a device without a driver compares the position after a move with its target.
     """
@@ -58,8 +61,8 @@ class FaultyDevice:
         self._device = device
         self._world = world
         self._clock = clock
-        self.before: Callable[[str], None] = _permit
-        self.altered: dict[str, Alteration] = {}
+        self._checks: list[Callable[[str], None]] = []
+        self._alterations: list[Mapping[str, Alteration]] = []
         self.touches = 0
         self.staged: list[TableImage] = []
         self.moved_until_s = 0.0
@@ -92,17 +95,28 @@ class FaultyDevice:
         self.staged.append(table)
         self._altered("stage", self._device.stage)(bank, table)
 
-    def repair(self) -> None:
-        """Remove every fault of the device and of its link."""
-        self.before = _permit
-        self.altered.clear()
+    def check(self, check: Callable[[str], None]) -> Callable[[], None]:
+        """Call `check(name)`, which may raise an error, before each call of the device. Return a function that ends
+        this."""
+        self._checks.append(check)
+        return partial(_discard, self._checks, check)
+
+    def alter(self, **altered: Alteration) -> Callable[[], None]:
+        """Let these functions be called instead of the methods with their names, with the method as first argument: the
+        real one, or one that was altered before. Return a function that ends this."""
+        self._alterations.append(altered)
+        return partial(_discard, self._alterations, altered)
 
     def _altered(self, name: str, real: Callable[..., Any]) -> Callable[..., Any]:
         def call(*values: Any, **named: Any) -> Any:
-            self.before(name)
-            altered = self.altered.get(name)
+            for check in tuple(self._checks):
+                check(name)
+            function = real
+            for altered in self._alterations:
+                if name in altered:
+                    function = partial(altered[name], function)
             try:
-                return real(*values, **named) if altered is None else altered(real, *values, **named)
+                return function(*values, **named)
             except VolcalError as error:  # a driver names its device in every error
                 raise error.at(device=DEVICE) from error.__cause__
 
@@ -116,5 +130,6 @@ class FaultyDevice:
             self._position = position
 
 
-def _permit(_: str) -> None:
-    """Let every call pass."""
+def _discard(among: list[Any], one: object) -> None:
+    """Remove `one` from the list `among` if it is still there."""
+    among[:] = [other for other in among if other is not one]

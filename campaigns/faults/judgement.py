@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
-import sqlite3
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, replace
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +15,16 @@ from agent.execution.encoding import table_digest
 from agent.execution.journal_schema import FILE_NAME
 from agent.execution.rig import Rig
 from agent.runs.reconcile import reconcile
+from agent.runs.reference_state import ACTIVATING_DECISIONS
+from agent.runs.resume.abandon import abandon
 from agent.runs.session import RunResult
 from campaigns.aborts.case import FORMER_BANK, FORMER_TABLE
-from campaigns.faults.fault_kinds import KINDS, PlannedFault
+from campaigns.faults.fault_injector import RETURN_PREFIX, FaultInjector
+from campaigns.faults.fault_kinds import KINDS, WIRE
 from campaigns.faults.fault_scene import FaultScene
 from campaigns.faults.faulty_device import DEVICE, HangDetectedError
 from campaigns.faults.night_record import NightRecord
+from campaigns.faults.planned_night import PlannedNight
 from drivers.clock import VirtualClock
 from drivers.errors import VolcalError
 from simulators.backend import SimulatedMachineDevice
@@ -33,44 +37,55 @@ ACTING = frozenset(kind.__name__ for kind in s.STEPS_WITH_EFFECT)
 UNRESTORED = "could not be made active again"
 
 
-@dataclass(frozen=True)
-class EndedNight:
-    """Night after the end of its run.
+class Start(Enum):
+    """Start of volcal in the morning."""
 
-    `ended` is the result of the run, or None if it raised the exception `defect`. `began_s` is the instant in s at
-    which the fault began; `reached` is False if the run had ended before. `balls` is the number of balls that the run
-    has acknowledged. `directory` contains the files of the run.
+    RESTARTED = "restarted"
+    GIVEN_UP = "given up"
+
+
+@dataclass(frozen=True)
+class EndedRun:
+    """Run that has ended, with the object that has let its faults begin.
+
+    `ended` is the result of the run, or None if it raised the exception `defect` or if `killed` is True. `directory`
+    contains the files of the run. The world goes on for `settle_s` seconds before anything else happens.
     """
 
-    scene: FaultScene
-    fault: PlannedFault
+    injector: FaultInjector
     ended: RunResult | None
     defect: BaseException | None
-    began_s: float
-    balls: int
     directory: Path
-    reached: bool = True
+    killed: bool = False
+    settle_s: float = SETTLE_S
 
 
-def record_night(night: EndedNight) -> NightRecord:
-    """Return the record of the night. The world goes on for some time after the run, and then the fault is removed and
-    volcal is started again."""
-    scene, fault, kind = night.scene, night.fault, KINDS[night.fault.kind]
+def record_run(run: EndedRun, night: PlannedNight) -> NightRecord:
+    """Return the record of a run of the night. The world goes on for some time after it."""
+    injector, scene = run.injector, run.injector.scene
     clock, controller = scene.clock, scene.world.controller
     clock.watched, clock.watch = False, None
     end_s, stood = clock.now(), controller.displayed_position()
-    clock.advance_to(end_s + SETTLE_S)
+    clock.advance_to(end_s + run.settle_s)
     moved_mm = float(np.abs(controller.displayed_position() - stood).max())
     device, active, former = scene.machine, controller.active_bank, controller.banks.get(FORMER_BANK)
-    told = _of_result(night) | _of_journal(night)
+    injector.written += [table_digest(image) for image in device.staged]
+    told = _of_result(run) | _of_journal(run)
+    kinds = [KINDS[kind] for _, kind in injector.begun]
+    named = [kind.reasons for kind in kinds]
+    cleared = all(KINDS[kind].cleared for kind in injector.kinds)
+    at_step = " ".join(part for part in (night.key, "after" if night.after else "") if part)
     return NightRecord(
-        seed=fault.seed,
-        night=fault.night,
-        group=kind.group,
-        kind=fault.kind,
-        at_s=round(night.began_s, 3),
-        size=" ".join(part for part in (scene.size, fault.key, "after" if fault.after else "") if part),
-        reached=night.reached,
+        seed=night.seed,
+        night=night.night,
+        group=night.group,
+        kind=night.kind,
+        second="" if night.second is None else night.second.kind,
+        at_s=round(injector.begun[0][0], 3) if injector.begun else 0.0,
+        size="; ".join([*injector.sizes, *([at_step] if at_step else [])]),
+        resumed=injector.runs - 1,
+        must_resume=cleared and bool(injector.acknowledged),
+        must_end_well=cleared and injector.runs > 1 and not injector.begun,
         collisions=tuple(f"{one.body_a} with {one.body_b} at {one.time_s:.2f} s" for one in scene.world.collisions),
         stopped_s=scene.stopped_s,
         stands_from_s=device.moved_until_s,
@@ -79,17 +94,19 @@ def record_night(night: EndedNight) -> NightRecord:
         former=table_digest(FORMER_TABLE),
         complete_table=active == 0 or active in controller.banks,
         former_intact=former is not None and former.same_as(FORMER_TABLE),
-        written=tuple(table_digest(image) for image in device.staged),
+        written=tuple(injector.written),
         told_unrestored=UNRESTORED in told["reason"],
-        acknowledged_touches=device.touches,
-        acknowledged_balls=night.balls,
+        killed=run.killed,
+        acknowledged_touches=len(injector.acknowledged if run.killed else injector.touches),
+        acknowledged_balls=injector.balls,
         journal_writable=scene.journal_writable,
-        reasons=kind.reasons,
+        faulted=bool(kinds),
+        reasons=tuple(word for words in named for word in words) if all(named) else (),
+        needs_place=bool(kinds) and all(kind.group == WIRE for kind in kinds),
         hung=clock.hung,
         end_s=round(end_s, 3),
         **told,
         **_of_table(scene.world.controller.active_bank, scene),
-        **_morning(night),
     )
 
 
@@ -103,8 +120,10 @@ def _of_table(active: int, scene: FaultScene) -> dict[str, Any]:
     return found
 
 
-def _of_result(night: EndedNight) -> dict[str, Any]:
+def _of_result(night: EndedRun) -> dict[str, Any]:
     """Return what the run has told its caller."""
+    if night.killed:
+        return {"reason": ""}
     if night.ended is None:
         raised = None if isinstance(night.defect, HangDetectedError) else repr(night.defect)
         return {"reason": "", "raised": raised or ""}
@@ -121,23 +140,30 @@ def _of_result(night: EndedNight) -> dict[str, Any]:
     }
 
 
-def _of_journal(night: EndedNight) -> dict[str, Any]:
+def _of_journal(night: EndedRun) -> dict[str, Any]:
     """Return what the journal says of the run. Its reason also tells what could not be done at the end."""
-    scene = night.scene
-    journal = scene.memory.journal
+    scene = night.injector.scene
+    journal = scene.journal()
     runs = journal.runs()
     if not runs:
         return {}
     run, aborted_s = runs[-1], scene.aborted_s
     steps = [] if aborted_s is None else journal.steps(run.run, procedure_only=True)
     late = [one.key for one in steps if one.kind in ACTING and one.begun_s > (aborted_s or 0.0) + ABORT_WITHIN_S]
+    touches = [one.key for one in journal.steps(run.run, "TouchTowards") if one.result_text is not None]
+    measured = Counter(key for key in touches if not key.startswith(RETURN_PREFIX))
+    valid = Counter(touch.key for touch in journal.touches(run.run))
+    repeated = Counter(night.injector.acknowledged) - (measured - valid)
     found = {
-        "journaled_touches": journal.count_touches(run.run),
+        "journaled_touches": measured.total(),
+        "repeated": tuple(key for key, count in repeated.items() if count > 1),
         "journaled_balls": journal.count_balls(run.run),
         "journal_state": run.state,
         "journal_closed": run.ended is not None,
         "steps_after_abort": tuple(late),
     }
+    if night.killed:
+        found["accepted"] = journal.has_decision(run.run, ACTIVATING_DECISIONS)
     if run.reason and scene.journal_writable:
         found["reason"] = str(run.reason)
     return found
@@ -149,24 +175,21 @@ def _active_digest(scene: FaultScene) -> int:
     return 0 if image is None else table_digest(image)
 
 
-def _morning(night: EndedNight) -> dict[str, Any]:
-    """Remove the fault and start volcal again. Return the CRC-32 of the table that acts then, and what volcal says."""
-    scene = night.scene
-    for repair in scene.repairs:
-        with contextlib.suppress(sqlite3.ProgrammingError):  # a connection that was closed meanwhile
-            repair()
-    if scene.proxy is not None:
-        scene.proxy.repair()
+def start_volcal(record: NightRecord, run: EndedRun, how: Start) -> NightRecord:
+    """Start volcal again on the machine without its faults, and give up its run if that is asked for. Return the record
+    with what it says then, and with the table that acts then."""
+    scene, state = run.injector.scene, run.directory / "state"
     scene.world.controller.reset()
     clock = VirtualClock()
     clock.advance_to(scene.clock.now())
-    device = SimulatedMachineDevice(scene.world, clock)  # the machine without its fault
+    device = SimulatedMachineDevice(scene.world, clock)  # the machine without its faults
     rig = Rig({DEVICE: device}, device, device, {1: device}, device, device, device, clock)
     rig.open()
-    (night.directory / "state" / FILE_NAME).touch()  # the journal itself is in memory
+    (state / FILE_NAME).touch()  # the journal itself is in memory
     try:
-        said = reconcile(rig, night.directory / "state").text
+        found = abandon(rig, state, "a person gives it up") if how is Start.GIVEN_UP else reconcile(rig, state)
+        said = found.text
     except VolcalError as error:
         said = str(error)
     rig.close()
-    return {"morning": _active_digest(scene), "morning_says": said}
+    return replace(record, morning=_active_digest(scene), morning_says=said)

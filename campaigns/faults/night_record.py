@@ -1,4 +1,4 @@
-"""Record of one night with a fault, as the simulated world and the journal tell it, and the invariants that it must
+"""Record of one night with faults, as the simulated world and the journal tell it, and the invariants that it must
 fulfil.
 """
 
@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 FINAL_STATES = ("complete", "refused", "aborted", "faulted", "written, not active")
 ENDED_EARLY = ("aborted", "faulted")
@@ -14,7 +15,15 @@ MOVED_MM = 1e-6
 
 @dataclass(frozen=True)
 class NightRecord:
-    """Facts of one night. Instants are in s of machine time, true errors in µm.
+    """Facts of one night, or of its resumed run. Instants are in s of machine time, true errors in µm.
+
+    `kind` is the kind of the first fault of the night, `second` that of its second one or empty; `faulted` is True if a
+    fault has begun in this run. `resumed` is how many times the run had been resumed, and `later` the record of the
+    next resumption. `resume_refused` is the answer to a resumption that was refused. `killed` is True for a run
+    whose process was killed, which therefore has no end of its own. `must_resume` is True for a run
+    that has measured and that can be resumed after its faults, `must_end_well` for a resumed run that nothing disturbs
+    any more. `repeated` are the keys of touches that were measured again although they were
+    acknowledged and not discarded.
 
     `stopped_s` is the instant of a fault after which nothing may move; `stands_from_s` is the instant from which the
     axes stood still until the end of the night. `moved_after_end_mm` is the travel of the axes in mm after the end of
@@ -61,6 +70,16 @@ class NightRecord:
     journal_writable: bool = True
     journal_closed: bool = True
     reason: str = ""
+    faulted: bool = True
+    needs_place: bool = True
+    second: str = ""
+    resumed: int = 0
+    resume_refused: str = ""
+    killed: bool = False
+    must_resume: bool = False
+    must_end_well: bool = False
+    repeated: tuple[str, ...] = ()
+    later: NightRecord | None = None
     reasons: tuple[str, ...] = ()
     error: str = ""
     step: str = ""
@@ -70,6 +89,21 @@ class NightRecord:
     end_s: float = 0.0
     failures: tuple[str, ...] = field(default=())
     """Reasons for which the night could not be recorded."""
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> NightRecord:
+        """Return the record with the fields of a JSON object."""
+        fields: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value for name, value in document.items()
+        }
+        if fields["later"] is not None:
+            fields["later"] = cls.from_json(fields["later"])
+        return cls(**fields)
+
+    @property
+    def last(self) -> NightRecord:
+        """Record of the last resumption, or of the run itself."""
+        return self if self.later is None else self.later.last
 
 
 BRAKED_AFTER_S = 2.0
@@ -115,6 +149,8 @@ def _incomplete_table(night: NightRecord) -> str:
 
 
 def _unproved(night: NightRecord) -> str:
+    if night.morning is None and night.later is not None:
+        return ""  # the resumed run proves it or takes it back
     acts = night.active if night.morning is None else night.morning
     if acts == night.former or left_to_a_person(night):
         return ""
@@ -141,7 +177,7 @@ def _lost(night: NightRecord) -> str:
 
 
 def _unnamed(night: NightRecord) -> str:
-    if night.state not in ENDED_EARLY or not night.reached:
+    if night.state not in ENDED_EARLY or not night.reached or not night.faulted:
         return ""
     if not night.reason:
         return "no reason"
@@ -149,7 +185,7 @@ def _unnamed(night: NightRecord) -> str:
         return f"the cause is not named: {night.reason}"
     if not night.step:
         return f"no step is named: {night.reason}"
-    if night.group == "wire" and not night.place:
+    if night.needs_place and not night.place:
         return f"no link is named: {night.reason}"
     return ""
 
@@ -168,6 +204,21 @@ def _without_end(night: NightRecord) -> str:
     return ""
 
 
+def _measured_twice(night: NightRecord) -> str:
+    return (
+        f"{len(night.repeated)} touches were measured again: {', '.join(night.repeated[:3])}" if night.repeated else ""
+    )
+
+
+def _not_resumed(night: NightRecord) -> str:
+    unfinished = not night.journal_closed if night.killed else night.state == "faulted"
+    if night.must_resume and unfinished and night.resume_refused:
+        return f"the run could not be resumed: {night.resume_refused}"
+    if night.must_end_well and not night.accepted and night.state != "refused":
+        return f"nothing disturbed the resumed run, and it ended {night.state}: {night.reason}"
+    return ""
+
+
 INVARIANTS: Mapping[str, Callable[[NightRecord], str]] = {
     "no collision": _collided,
     "no motion after a stop": _moved_after_stop,
@@ -177,15 +228,26 @@ INVARIANTS: Mapping[str, Callable[[NightRecord], str]] = {
     "acknowledged means journaled": _lost,
     "fault named": _unnamed,
     "stated end": _without_end,
+    "nothing measured twice": _measured_twice,
+    "resumed to the end": _not_resumed,
 }
 """Invariants by name. Each returns what is wrong in words, or an empty text."""
 
 
+OF_ENDED_RUNS = ("no motion after a stop", "compensation restored", "fault named", "stated end")
+"""Invariants of the end of a run, which a killed process cannot see to."""
+
+
 def violations(night: NightRecord) -> dict[str, str]:
-    """Return what is wrong with the night, by invariant; empty if nothing is.
+    """Return what is wrong with the night and its resumed runs, by invariant; empty if nothing is.
 
     A night that could not be recorded violates only the invariant of its end, because the other facts are not known.
     """
     judged = {"stated end": _without_end} if night.failures else INVARIANTS
+    if night.killed and not night.failures:
+        judged = {name: judge for name, judge in INVARIANTS.items() if name not in OF_ENDED_RUNS}
     found = {name: judge(night) for name, judge in judged.items()}
-    return {name: text for name, text in found.items() if text}
+    wrong = {name: text for name, text in found.items() if text}
+    if night.later is None:
+        return wrong
+    return {name: f"resumed: {text}" for name, text in violations(night.later).items()} | wrong

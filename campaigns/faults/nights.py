@@ -1,4 +1,6 @@
-"""Execution of nights with faults: one undisturbed run, of which a copy is forked at the instant of each fault."""
+"""Execution of nights with faults: one undisturbed run, of which a copy is forked at the instant of each first
+fault.
+"""
 
 from __future__ import annotations
 
@@ -6,39 +8,43 @@ import gc
 import logging
 import os
 import sqlite3
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import asdict, dataclass, field
-from functools import partial
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import structlog
 
-from agent.execution import steps as s
 from agent.execution.device_assembly import Devices
-from agent.execution.engine import Action
+from agent.execution.journal_schema import FILE_NAME
 from agent.execution.rig import Rig
 from agent.execution.supervisor import Supervisor
 from agent.planning.case_file import SHIPPED_CONFIGURATION
-from agent.planning.job import Job
 from agent.runs.kinds.calibrate import FullCalibration
+from agent.runs.resume.resume import resume
 from agent.runs.run_context import RunHooks
 from agent.runs.session import RunResult, carry_out
+from agent.settings.schema import Settings
 from benchmarks.places import memory_directory
 from campaigns.aborts.case import InMemoryDatabase, prepare_case
 from campaigns.aborts.forked_copies import Forks
-from campaigns.faults.fault_kinds import KINDS, PlannedFault, plan_fault
-from campaigns.faults.fault_scene import FaultScene, behind_proxy, build_world
-from campaigns.faults.judgement import EndedNight, record_night
+from campaigns.faults.fault_injector import FaultInjector
+from campaigns.faults.fault_scene import FaultScene, build_world
+from campaigns.faults.judgement import EndedRun, Start, record_run, start_volcal
 from campaigns.faults.night_record import NightRecord
+from campaigns.faults.planned_night import LINKED_EVERY, PlannedNight, plan_night
+from campaigns.faults.real_links import CAN_BUSES, linked
 from campaigns.resume.case import cache_preflight
 from drivers.clock import Clock
+from drivers.errors import VolcalError
 from simulators.world.world import World
 
 CHILD_TIMEOUT_S = 600.0
 """Wall time in s for a copy on a busy computer: it may identify the whole machine."""
 
+
+MakeRig = Callable[[Clock, Settings], Rig]
 
 NIGHTS_PER_MACHINE = 50
 BANKS_OF_REGISTER_MAP = (1, 2)
@@ -53,96 +59,18 @@ class Share:
     end: int
 
 
-@dataclass
-class FaultInjector:
-    """Object that forks a copy of the process at the instant of each planned fault; the fault begins in the copy.
-
-    `duration_s` is the machine time of an undisturbed night. With a single fault and `forked` False, the fault begins
-    in this process.
-    """
-
-    scene: FaultScene
-    faults: Sequence[PlannedFault]
-    duration_s: float
-    forked: bool = True
-    forks: Forks = field(default_factory=lambda: Forks(CHILD_TIMEOUT_S))
-    records: list[NightRecord] = field(default_factory=list)
-    begun: PlannedFault | None = None
-    began_s: float = 0.0
-    balls: int = 0
-    over: bool = False
-    """True from the end of the run on: no fault begins any more."""
-
-    def rig(self, clock: Clock, job: Job) -> Rig:
-        """Return the rig of the run. Faults of the evening begin now, the others are arranged."""
-        rig = self.scene.rig(clock, job)
-        for fault in self.faults:
-            if fault.key:
-                continue
-            if fault.fraction == 0.0:
-                self.begin(fault)
-            else:
-                self.scene.clock.at(fault.fraction * self.duration_s, lambda fault=fault: self.begin(fault))  # type: ignore[misc]
-        return rig
-
-    def begin(self, fault: PlannedFault) -> None:
-        """Let the fault begin in a copy of this process; in the copy of another fault, do nothing."""
-        if self.begun is not None or self.over:
-            return
-        if self.forked:
-            result = self.forks.fork()
-            if result is not None:
-                self.records.append(_received(fault, result, self.scene.clock.now()))
-                return
-        self.begun, self.began_s = fault, self.scene.clock.now()
-        KINDS[fault.kind].apply(self.scene, fault.generator())
-
-    def answers(self, actions: Mapping[type, Action]) -> Mapping[type, Action]:
-        """Return `actions` wrapped so that faults can begin before or after a step."""
-        return {kind: self._watched(action) for kind, action in actions.items()}
-
-    def _watched(self, action: Action) -> Action:
-        def perform(step: s.Step) -> Any:
-            self._begin_at(step.key, after=False)
-            result = action(step)
-            self._begin_at(step.key, after=True)
-            return result
-
-        return perform
-
-    def _begin_at(self, key: str, *, after: bool) -> None:
-        for fault in self.faults:
-            if fault.key == key and fault.after is after:
-                self.begin(fault)
-
-    def observe(self, step: s.Step, _: object) -> None:
-        """Count the balls that the run has acknowledged."""
-        self.balls += isinstance(step, s.Record) and step.kind == "ball"
-
-
-def _received(fault: PlannedFault, result: Mapping[str, Any], now_s: float) -> NightRecord:
-    """Return the record that a copy has sent, or one with the reasons why it has sent none."""
-    if "night" in result:
-        listed: dict[str, Any] = {
-            name: tuple(value) if isinstance(value, list) else value for name, value in result.items()
-        }
-        return NightRecord(**listed)
-    failures = tuple(str(one) for one in result["failures"])
-    return NightRecord(fault.seed, fault.night, KINDS[fault.kind].group, fault.kind, round(now_s, 3), failures=failures)
-
-
 def play_share(share: Share) -> tuple[list[NightRecord], float]:
     """Return the records of the nights of one machine, and the CPU time in s that they took with their copies."""
     # What a driver logs of each disturbed frame is not what the trial reports.
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
-    began_s = _cpu_s()
-    faults = [plan_fault(share.seed, night) for night in range(share.first, share.end)]
+    began_s = cpu_s()
+    nights = [plan_night(share.seed, night) for night in range(share.first, share.end)]
     machine = machine_seed(share.seed, share.first)
-    records = play_nights([one for one in faults if not KINDS[one.kind].proxied], machine)
-    for fault in faults:
-        if KINDS[fault.kind].proxied:
-            records += play_nights([fault], machine, forked=False)
-    return sorted(records, key=lambda night: night.night), _cpu_s() - began_s
+    records = play_nights([one for one in nights if not one.link], machine)
+    for night in nights:
+        if night.link:
+            records += play_nights([night], machine, forked=False)
+    return sorted(records, key=lambda night: night.night), cpu_s() - began_s
 
 
 def machine_seed(seed: int, night: int) -> int:
@@ -150,55 +78,77 @@ def machine_seed(seed: int, night: int) -> int:
     return 1000 * seed + night // NIGHTS_PER_MACHINE
 
 
-def _cpu_s() -> float:
+def cpu_s() -> float:
+    """Return the CPU time in s of this process and of its ended copies."""
     spent = os.times()
     return spent.user + spent.system + spent.children_user + spent.children_system
 
 
-def play_nights(faults: Sequence[PlannedFault], world_seed: int, *, forked: bool = True) -> list[NightRecord]:
-    """Play one night for each of the faults, all on the machine drawn with `world_seed`, and return their records.
+def play_nights(nights: Sequence[PlannedNight], world_seed: int, *, forked: bool = True) -> list[NightRecord]:
+    """Play the nights, all on the machine drawn with `world_seed`, and return their records.
 
-    If `forked` is False, `faults` must have one element, and its night is played in this process.
+    All must have the same kind of real link. If `forked` is False, `nights` must have one element, which is played in
+    this process.
     """
     duration_s = _undisturbed_duration_s()
-    proxied = any(KINDS[one.kind].proxied for one in faults)
-    world = build_world(world_seed, BANKS_OF_REGISTER_MAP) if proxied else build_world(world_seed)
-    with _scene(world) as (scene, directory), behind_proxy(scene) if proxied else nullcontext():
-        injector = FaultInjector(scene, faults, duration_s, forked)
+    link, bus = nights[0].link, CAN_BUSES[nights[0].night // LINKED_EVERY % len(CAN_BUSES)]
+    world = build_world(world_seed, BANKS_OF_REGISTER_MAP) if link else build_world(world_seed)
+    records: list[NightRecord] = []
+    with _scene(world) as (scene, directory), linked(scene, link, directory, bus):
+
+        def receive(night: PlannedNight, result: Mapping[str, Any]) -> None:
+            records.append(received_record(night, result, scene.clock.now()))
+
+        injector = FaultInjector(scene, nights, duration_s, receive, forked, Forks(CHILD_TIMEOUT_S))
         if forked:  # what is alive stays on pages that the copies share
             gc.collect()
             gc.freeze()
         try:
-            ended, defect = _carry_out(injector, directory)
-            injector.over = True
-            record = partial(_record, injector, ended, defect, directory)
+            run = _carry_out(injector, directory)
             if injector.forks.is_child:
-                assert injector.begun is not None
-                injector.forks.send_and_exit(asdict(record(injector.begun)))
+                assert injector.night is not None
+                injector.forks.send_and_exit(asdict(judge_night(injector.night, run)))
         except BaseException as error:
             if injector.forks.is_child:  # a copy must never continue as its parent
                 injector.forks.send_and_exit({"failures": [f"could not be judged: {error!r}"]})
             raise
-        if injector.begun is not None:
-            return [record(injector.begun)]
+        if injector.night is not None:
+            return [judge_night(injector.night, run)]
         if forked:
             gc.unfreeze()
-        missed = {one.night for one in faults} - {one.night for one in injector.records}
-        return [*injector.records, *(record(one, reached=False) for one in faults if one.night in missed)]
+        missed = {one.night for one in nights} - {one.night for one in records}
+        return [*records, *(replace(judge_night(one, run), reached=False) for one in nights if one.night in missed)]
 
 
-def _record(
-    injector: FaultInjector,
-    ended: RunResult | None,
-    defect: BaseException | None,
-    directory: Path,
-    fault: PlannedFault,
-    *,
-    reached: bool = True,
-) -> NightRecord:
-    return record_night(
-        EndedNight(injector.scene, fault, ended, defect, injector.began_s, injector.balls, directory, reached)
-    )
+def received_record(night: PlannedNight, result: Mapping[str, Any], now_s: float) -> NightRecord:
+    """Return the record that a copy has sent, or one with the reasons why it has sent none."""
+    if "night" in result:
+        return NightRecord.from_json(result)
+    failures = tuple(str(one) for one in result["failures"])
+    return NightRecord(night.seed, night.night, night.group, night.kind, round(now_s, 3), failures=failures)
+
+
+def judge_night(night: PlannedNight, run: EndedRun, make_rig: MakeRig | None = None) -> NightRecord:
+    """Return the record of a night after its run: its mornings follow. `make_rig` makes the rig of a resumed run, by
+    default that of the injector."""
+    record = record_run(run, night)
+    injector = run.injector
+    for number, morning in enumerate(night.mornings):
+        injector.scene.repair()
+        if "restart" in morning or morning == "give up":
+            how = Start.GIVEN_UP if morning == "give up" else Start.RESTARTED
+            record = start_volcal(record, run, how)
+        if "resume" not in morning or record.state in ("complete", "refused"):
+            continue
+        injector.start_again()
+        try:
+            resumed = _resume(injector, run.directory, make_rig)
+        except VolcalError as refusal:
+            record = replace(record, resume_refused=str(refusal))
+            continue
+        rest = replace(night, mornings=night.mornings[number + 1 :])
+        return replace(record, later=judge_night(rest, resumed, make_rig))
+    return record
 
 
 _duration_s: list[float] = []
@@ -212,12 +162,12 @@ def _undisturbed_duration_s() -> float:
     if not _duration_s:
         cache_preflight()
         with _scene(build_world(0)) as (scene, directory):
-            ended, defect = _carry_out(FaultInjector(scene, (), 0.0), directory)
-            if defect is not None:
-                raise defect
-            assert ended is not None
-            if ended.outcome.proof is None or not ended.outcome.proof.accepted:
-                raise RuntimeError(f"the undisturbed night was not accepted: {ended.outcome.reason}")
+            run = _carry_out(FaultInjector(scene, (), 0.0, lambda *_: None), directory)
+            if run.defect is not None:
+                raise run.defect
+            assert run.ended is not None
+            if run.ended.outcome.proof is None or not run.ended.outcome.proof.accepted:
+                raise RuntimeError(f"the undisturbed night was not accepted: {run.ended.outcome.reason}")
             _duration_s.append(scene.clock.now())
     return _duration_s[0]
 
@@ -225,7 +175,7 @@ def _undisturbed_duration_s() -> float:
 @contextmanager
 def _scene(world: World) -> Iterator[tuple[FaultScene, Path]]:
     memory = InMemoryDatabase.replace_files()
-    scene = FaultScene(world, memory)
+    scene = FaultScene(world, lambda: memory.journal, memory)
     connect = sqlite3.connect
 
     def kept(*values: Any, **options: Any) -> sqlite3.Connection:
@@ -240,18 +190,50 @@ def _scene(world: World) -> Iterator[tuple[FaultScene, Path]]:
             memory.restore_files()
 
 
-def _carry_out(injector: FaultInjector, directory: Path) -> tuple[RunResult | None, BaseException | None]:
+def _carry_out(injector: FaultInjector, directory: Path) -> EndedRun:
     job = prepare_case(directory, stations={"standing_at": 1})
+    hooks = run_hooks(injector)
+    ended: RunResult | None = None
+    defect: BaseException | None = None
+    try:
+        ended = carry_out(job, FullCalibration(), SHIPPED_CONFIGURATION, hooks)
+    except BaseException as error:  # noqa: BLE001  a copy must never continue as its parent
+        defect = error
+    injector.end_run()
+    return EndedRun(injector, ended, defect, directory)
+
+
+def _resume(injector: FaultInjector, directory: Path, make_rig: MakeRig | None) -> EndedRun:
+    """Resume the run as `volcal resume` does. Raises VolcalError if that is refused."""
+    (directory / "state" / FILE_NAME).touch()  # the journal itself is in memory
+    ended: RunResult | None = None
+    defect: BaseException | None = None
+    try:
+        ended = resume(directory / "state", run_hooks(injector, make_rig))
+    except VolcalError:
+        raise
+    except BaseException as error:  # noqa: BLE001  a copy must never continue as its parent
+        defect = error
+    finally:
+        injector.end_run()
+    return EndedRun(injector, ended, defect, directory)
+
+
+def run_hooks(injector: FaultInjector, make_rig: MakeRig | None = None) -> RunHooks:
+    """Return the hooks of a run whose faults `injector` lets begin. `make_rig` makes its rig, by default that of the
+    injector."""
     scene = injector.scene
+
+    made = make_rig or injector.rig
 
     def keep(supervisor: Supervisor) -> None:
         scene.supervisor = supervisor
 
-    devices = Devices(lambda _, clock, __: injector.rig(clock, job), lambda _: scene.clock)
-    hooks = RunHooks(
-        attach=keep, devices=devices, write_files=False, answers=injector.answers, observe=injector.observe
+    return RunHooks(
+        attach=keep,
+        devices=Devices(lambda settings, clock, _: made(clock, settings), lambda _: scene.clock),
+        lock=lambda *_: nullcontext(),  # a copy would share the lock with its parent
+        write_files=False,
+        answers=injector.answers,
+        observe=injector.observe,
     )
-    try:
-        return carry_out(job, FullCalibration(), SHIPPED_CONFIGURATION, hooks), None
-    except BaseException as error:  # noqa: BLE001  a copy must never continue as its parent
-        return None, error

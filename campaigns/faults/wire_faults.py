@@ -29,7 +29,7 @@ def _drawn_error(rng: Generator) -> LinkError:
 def lost_link(scene: FaultScene, rng: Generator) -> None:
     """Lose the link to the controller until the morning. The heartbeat stops the axes."""
     scene.size = "until the morning"
-    scene.stopped_s = scene.clock.now()
+    scene.note_stop()
     _cut(scene, None, _drawn_error(rng))
 
 
@@ -47,7 +47,7 @@ def _cut(scene: FaultScene, until_s: float | None, error: LinkError) -> None:
         if name != "close" and (until_s is None or scene.clock.now() < until_s):
             raise _same(error)
 
-    scene.machine.before = fail
+    scene.machine.check(fail)
 
 
 def lost_call(scene: FaultScene, rng: Generator) -> None:
@@ -55,10 +55,10 @@ def lost_call(scene: FaultScene, rng: Generator) -> None:
     error = _drawn_error(rng)
 
     def fail(_: str) -> None:
-        scene.machine.repair()
+        end()
         raise _same(error)
 
-    scene.machine.before = fail
+    end = scene.machine.check(fail)
 
 
 def lost_answer(scene: FaultScene, rng: Generator) -> None:
@@ -66,11 +66,11 @@ def lost_answer(scene: FaultScene, rng: Generator) -> None:
     error = _drawn_error(rng)
 
     def lose(real: Any, *values: Any, **named: Any) -> Any:
-        scene.machine.repair()
+        end()
         real(*values, **named)
         raise _same(error)
 
-    scene.machine.altered |= dict.fromkeys(COMMANDS, lose)
+    end = scene.machine.alter(**dict.fromkeys(COMMANDS, lose))
 
 
 def _same(error: LinkError) -> LinkError:

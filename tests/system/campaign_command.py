@@ -14,6 +14,6 @@ ROOT = Path(__file__).resolve().parents[2]
 def run_campaign(name: str, *arguments: str | Path) -> tuple[int, dict[str, Any]]:
     """Run `python -m campaigns.NAME`, and return its exit code and what it found."""
     command = [sys.executable, "-m", f"campaigns.{name}", *map(str, arguments)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600.0, check=False)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=1150.0, check=False)
     assert done.stdout, done.stderr
     return done.returncode, json.loads(done.stdout.splitlines()[-1])

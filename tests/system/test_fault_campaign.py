@@ -9,11 +9,12 @@ import pytest
 from campaign_command import run_campaign
 
 from campaigns.faults.__main__ import summarise
-from campaigns.faults.fault_kinds import KINDS, plan_fault
+from campaigns.faults.fault_kinds import KINDS
 from campaigns.faults.night_record import INVARIANTS, NightRecord, violations
+from campaigns.faults.planned_night import LINKS, plan_night
 
 NIGHTS = 36
-"""Every kind of fault in one process once, and one night with a real link; about 55 s of CPU time."""
+"""Every kind of fault in one process once, and one night with each real link; about 70 s of CPU time."""
 FORMER, NEW, OTHER = 1, 2, 3
 
 RESTORED = NightRecord(
@@ -76,6 +77,9 @@ VIOLATING: list[tuple[str, NightRecord, dict[str, Any]]] = [
     ("stated end", RESTORED, {"raised": "KeyError('ball')"}),
     ("stated end", RESTORED, {"hung": True}),
     ("stated end", RESTORED, {"failures": ("did not end within 600 s",)}),
+    ("nothing measured twice", PROVED, {"repeated": ("measure/1/touch-0",)}),
+    ("resumed to the end", RESTORED, {"must_resume": True, "resume_refused": "there is no run to resume"}),
+    ("resumed to the end", RESTORED, {"must_end_well": True}),
 ]
 
 
@@ -83,6 +87,19 @@ VIOLATING: list[tuple[str, NightRecord, dict[str, Any]]] = [
 def test_a_night_that_ended_well_violates_nothing(night: NightRecord) -> None:
     assert violations(night) == {}
     assert summarise([night])["passed"]
+
+
+@pytest.mark.parametrize(("invariant", "night", "change"), VIOLATING)
+def test_a_violation_of_a_resumed_run_is_found_too(invariant: str, night: NightRecord, change: dict[str, Any]) -> None:
+    assert set(violations(replace(RESTORED, later=replace(night, **change)))) == {invariant}
+
+
+def test_a_killed_run_is_judged_by_what_it_leaves_not_by_its_end() -> None:
+    killed = replace(RESTORED, killed=True, state="", journal_state="measuring", journal_closed=False, reason="")
+    assert violations(replace(killed, moved_after_end_mm=1.0, active=NEW)) == {}
+    assert set(violations(replace(killed, morning=NEW))) == {"former table or a proved one"}
+    assert set(violations(replace(killed, journaled_touches=39))) == {"acknowledged means journaled"}
+    assert set(violations(replace(killed, must_resume=True, resume_refused="no"))) == {"resumed to the end"}
 
 
 @pytest.mark.parametrize(("invariant", "night", "change"), VIOLATING)
@@ -108,17 +125,19 @@ def test_a_strange_table_is_left_to_a_person_only_if_evening_and_morning_say_so(
 
 
 def test_a_controller_that_activates_another_bank_is_named_in_the_morning_too() -> None:
-    code, result = run_campaign("faults", "--only", "165", "--seed", "3")
+    code, result = run_campaign("faults", "--only", "241", "--seed", "3")
     assert result["by_kind"] == {"wrong bank": 1}
     assert result["violations"] == dict.fromkeys(INVARIANTS, 0)
     assert (code, result["left_to_a_person"]) == (0, 1)
 
 
 def test_all_kinds_of_fault_occur_and_a_night_is_drawn_the_same_again() -> None:
-    planned = [plan_fault(1, night) for night in range(200)]
+    planned = [plan_night(1, night) for night in range(300)]
     assert {one.kind for one in planned} == set(KINDS)
-    assert planned == [plan_fault(1, night) for night in range(200)]
-    assert planned != [plan_fault(2, night) for night in range(200)]
+    assert planned == [plan_night(1, night) for night in range(300)]
+    assert planned != [plan_night(2, night) for night in range(300)]
+    second = [night.second for night in planned if night.second is not None]
+    assert {one.resumed for one in second} == {bool(one.key) for one in second} == {True, False}
 
 
 def test_nights_with_faults_end_as_they_must() -> None:
@@ -126,5 +145,8 @@ def test_nights_with_faults_end_as_they_must() -> None:
     assert result["violations"] == dict.fromkeys(INVARIANTS, 0)
     assert result["passed"]
     assert result["nights"] == NIGHTS
-    assert {kind for kind, fault in KINDS.items() if not fault.proxied} < set(result["by_kind"])
+    assert {kind for kind, fault in KINDS.items() if not fault.link} < set(result["by_kind"])
+    assert {KINDS[kind].link for kind in result["by_kind"]} == {"", *LINKS}
     assert result["accepted"] > 0
+    assert result["with_a_second_fault"] > 0
+    assert result["resumed"] > 0

@@ -175,6 +175,18 @@ def test_five_points_say_nothing_of_the_pole() -> None:
     assert doubtful_touches(fit, probing()) == (1, 2, 3, 4)
 
 
+def test_a_ball_that_is_moved_between_its_touches_is_searched_again_at_the_feed_for_an_unknown_place() -> None:
+    player = TouchedBall(CENTRE, PROBING.contact_mm, lambda _way, _feed, key: 2.0 if key == "b/touch-4" else 0.0)
+    found = player.run(measure_ball("b", CENTRE, probing(guarded_feed_mm_per_s=20.0), PROBING.narrow_search))
+    assert isinstance(found, FittedBall)
+    assert found.centre_mm == pytest.approx(CENTRE, abs=1e-9)
+    assert player.events[0]["then"] == "repeat the ball"
+    assert "contradict each other" in player.events[0]["reason"]
+    again = [step for step in player.steps if isinstance(step, s.MoveTo) and step.key.startswith("b/repeat-1/")]
+    beside = [step for step in again if not step.key.endswith("/back")]
+    assert {step.feed_mm_per_s for step in beside} == {20.0}
+
+
 def test_a_miss_is_searched_wider_once() -> None:
     """The ball stands 5 mm farther in than the narrow search goes; from there it is measured again."""
     player = TouchedBall(CENTRE + np.array([0.0, 5.0, 0.0]), PROBING.contact_mm, clean)

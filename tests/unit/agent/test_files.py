@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.files import read_text, translated, write_all_atomically, write_atomically
+from agent.files import create_directory, read_text, translated, write_all_atomically, write_atomically
 from agent.model_files import load_artefact, load_machine, load_positions
 from drivers.errors import ConfigurationError, InputError
 from twin.errors import FormatError
@@ -138,6 +138,16 @@ class TestWriting:
         monkeypatch.setattr(Path, "replace", record_replace)
         write_atomically(tmp_path / "a.txt", "new")
         assert calls == ["sync file", "replace", "sync directory"]
+
+
+def test_each_created_directory_is_on_the_disk_with_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synced: list[Path] = []
+    monkeypatch.setattr(os, "fsync", lambda handle: synced.append(Path(f"/proc/self/fd/{handle}").resolve()))
+    create_directory(tmp_path / "a" / "b")
+    assert set(synced) == {tmp_path, tmp_path / "a"}
+    synced.clear()
+    create_directory(tmp_path / "a" / "b")
+    assert synced == []
 
 
 def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import sqlite3
 from pathlib import Path
 
 import numpy as np
@@ -139,3 +141,20 @@ def test_a_copy_has_the_edited_settings_alone(state: Path, tmp_path_factory: pyt
         assert original.settings_text(1) == '{"secret":"hidden","tool":"probe"}'
         assert reader.steps(1) == original.steps(1)
     assert b"hidden" not in path.read_bytes()
+
+
+def test_a_journal_whose_creation_was_interrupted_is_none_yet_and_the_next_run_creates_it(tmp_path: Path) -> None:
+    begun, left = tmp_path / "begun", tmp_path / "left"
+    begun.mkdir()
+    connection = sqlite3.connect(begun / FILE_NAME, isolation_level=None)
+    connection.executescript("PRAGMA cache_size = 1; BEGIN; CREATE TABLE wide (text); CREATE TABLE narrow (text)")
+    connection.executemany("INSERT INTO wide VALUES (?)", [("x" * 5000,)] * 50)  # more than stays in memory
+    shutil.copytree(begun, left)  # as the process leaves it that is killed now
+    connection.close()
+    assert (left / f"{FILE_NAME}-journal").exists()
+    assert not has_journal(left)
+    journal = Journal(left)
+    journal.start_run(FIRST, "calibrate", {}, "1.0", VirtualClock())
+    journal.close()
+    with open_journal(left) as reader:
+        assert reader.run_ids() == (FIRST,)

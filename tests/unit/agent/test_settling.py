@@ -57,6 +57,19 @@ def test_a_run_waits_for_an_artefact_that_is_too_warm_and_says_why() -> None:
     assert len({step.key for step in seen}) == len(seen)
 
 
+@pytest.mark.parametrize(("before_s", "before_c"), [(-10.0, 18.9), (-10.0, 21.7), (-3600.0, 14.2)])
+def test_a_thermometer_that_jumps_ends_the_run(before_s: float, before_c: float) -> None:
+    plan = wait_until_settled("measure/station-1/az0-el0", RULES, [Conditions(before_s, before_c)])
+    with pytest.raises(MeasurementFault, match=f"jumped from {before_c:.2f} to 20.30 °C") as caught:
+        played(plan, lambda _: 20.3)
+    assert caught.value.where["step"] == "measure/station-1/az0-el0"
+
+
+@pytest.mark.parametrize(("before_s", "before_c"), [(-10.0, 19.4), (-3600.0, 14.4), (-8.0 * 3600.0, 24.0)])
+def test_a_change_that_an_artefact_can_make_is_no_jump(before_s: float, before_c: float) -> None:
+    RULES.require_no_jump("key", Conditions(before_s, before_c), Conditions(0.0, 20.3))
+
+
 def test_at_the_deadline_it_gives_up_and_says_what_to_do() -> None:
     with pytest.raises(MeasurementFault, match=r"has not settled within 30 min.*26\.00 °C") as caught:
         played(wait_until_settled("k", RULES, ()), lambda _: 26.0)
