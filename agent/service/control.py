@@ -14,6 +14,7 @@ from queue import Queue
 from typing import Any, Protocol
 
 from agent.execution.states import RunState
+from agent.results.run_verdict import RunVerdict
 from agent.runs.run_request import RunRequest, Source
 from agent.runs.unproved_table import UnprovedTable
 from drivers.roles import PlacementRequest
@@ -57,6 +58,7 @@ class Status:
       ``answer``, ``resume_run``, ``restore_former``, ``give_up``).
     - `unfinished` is the identity of the interrupted run that can be resumed.
     - `unproved` is the table that is active although it was never proved, or None.
+    - `verdict` is the verdict on the run that has ended, until a reset or the next run; otherwise None.
     - `written_not_active` is the bank whose table has been written but becomes active only when the controller is
       restarted.
     """
@@ -81,6 +83,7 @@ class Status:
     unfinished: str | None = None
     unproved: UnprovedTable | None = None
     question: Question | None = None
+    verdict: RunVerdict | None = None
     alarms: tuple[Alarm, ...] = ()
     may: frozenset[str] = frozenset()
 

@@ -29,7 +29,7 @@ def tiles(data: ReportData, t: Texts) -> list[dict[str, str]]:
             *_of_run(data, t)[:2],
         ]
     else:
-        shown = [(t["tile_state"], data.header.state), *_of_run(data, t)]
+        shown = [(t["tile_state"], data.header.end), *_of_run(data, t)]
     return [{"text": text, "value": value} for text, value in shown]
 
 

@@ -58,7 +58,7 @@ def serve(config: Path, circumstances: Callable[[], Circumstances] = current_cir
         app_state = AppState(
             owner,
             parts.event_log,
-            Archive(directory, parts.reports.path),
+            Archive(directory, parts.reports.path, lambda: owner.running_id),
             parts.live_view,
             lambda: owner.settings,
             config,

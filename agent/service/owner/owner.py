@@ -64,6 +64,7 @@ class Owner:
                 left.run_id,
                 left.kind,
                 left.alarm,
+                verdict=left.verdict,
                 started=left.started,
                 balls=left.balls,
                 touches=left.touches,
@@ -165,6 +166,12 @@ class Owner:
         self._questions.answer(number, yes)
 
     # ------------------------------------------------------------------ for the service itself
+
+    @property
+    def running_id(self) -> str | None:
+        """Identity of the run in progress."""
+        running = self._running
+        return None if running is None else running.run_id
 
     @property
     def busy(self) -> bool:

@@ -14,6 +14,7 @@ from agent.execution.run_state import Announcement
 from agent.execution.states import PACKML, RunState
 from agent.execution.steps import ActivateBank, ReadActiveBank, ReadTemperatures, Record, Step, TouchTowards
 from agent.results.run_outcome import Outcome
+from agent.results.run_verdict import RunVerdict, verdict_of
 from agent.runs.reconcile_result import Reconciliation
 from agent.runs.run_request import Source
 from agent.runs.unproved_table import UnprovedTable
@@ -100,16 +101,26 @@ class StatusBoard:
         self._change(**vars(idle))
 
     def show_unacknowledged_end(
-        self, state: RunState, run_id: str, kind: str, alarm: Alarm, *, started: str, balls: int, touches: int
+        self,
+        state: RunState,
+        run_id: str,
+        kind: str,
+        alarm: Alarm,
+        *,
+        verdict: RunVerdict,
+        started: str,
+        balls: int,
+        touches: int,
     ) -> None:
         """Show the final state of a run that ended before the service was last started and that no reset has
         acknowledged."""
         self._change(run_id=run_id, kind=kind, alarms=(alarm,), started=started, balls=balls, touches=touches)
+        self._change(verdict=verdict)
         self.enter(state, alarm.text)
 
     def reset(self) -> None:
         self._change(alarms=(), fraction=0.0, minutes_left=None, step="", run_id=None, kind=None, started=None)
-        self._change(balls=0, touches=0)
+        self._change(balls=0, touches=0, verdict=None)
         self.enter(RunState.IDLE, "reset")
 
     def show_reconciliation(self, result: Reconciliation) -> None:
@@ -144,6 +155,7 @@ class StatusBoard:
             minutes_left=None,
             balls=0,
             touches=0,
+            verdict=None,
             alarms=(),
         )
         self.enter(RunState.PREFLIGHT, f"{kind} requested by {source}")
@@ -190,7 +202,7 @@ class StatusBoard:
         log.info("question", open=question is not None, text=text)
 
     def show_outcome(self, outcome: Outcome) -> None:
-        self._change(active_bank=outcome.table_bank, minutes_left=None)
+        self._change(active_bank=outcome.table_bank, minutes_left=None, verdict=outcome.verdict)
         self.event_log.publish("outcome", outcome.reason or outcome.state.value, outcome.as_json())
 
     def alarm(self, alarm: Alarm) -> None:
@@ -202,8 +214,10 @@ class StatusBoard:
         log.error(alarm.text, **data)
 
     def enter(self, state: RunState, text: str) -> None:
-        former = self._status.state
-        self._change(state=state, packml=PACKML[state])
+        former, verdict = self._status.state, self._status.verdict
+        if verdict is None and state in AT_REST - {S.IDLE}:  # the run has ended without an outcome
+            verdict = verdict_of(self._status.kind or "", state.value, ended=True, accepted=None, decision=None)
+        self._change(state=state, packml=PACKML[state], verdict=verdict)
         self.event_log.publish("state", text, {"state": state.value, "packml": PACKML[state]})
         log.info("state", state=state.value, former=former.value, text=text)
 
@@ -233,6 +247,8 @@ def _doing_now(status: Status) -> str:
     if status.unproved is not None and status.state in AT_REST:
         words = "not ready" if status.state is S.IDLE else _STATES[status.state].split(";")[0]
         return f"{words}: unproved table active (bank {status.unproved.bank})"
+    if status.verdict is not None and status.state in AT_REST:
+        return status.verdict.sentence["en"]
     return doing(status.state, status.step, status.kind)
 
 

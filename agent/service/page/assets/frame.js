@@ -2,7 +2,7 @@
 import { byId } from "./dom.js";
 import { languageNow, languages, number, onLanguage, say, speak, translate } from "./language.js";
 import { on, seen } from "./store.js";
-import { LOOKS, stateWord } from "./wording.js";
+import { LOOKS, stateWord, verdictWord } from "./wording.js";
 
 const VIEWS = ["operator", "engineer"];
 
@@ -39,13 +39,15 @@ function choose(view, opened) {
   opened(view);
 }
 
-function showState({ machine, state }) {
+function showState({ machine, state, verdict }) {
   byId("machine").textContent = machine;
   const badge = byId("state");
-  badge.dataset.look = LOOKS[state] ?? "quiet";
+  badge.dataset.look = verdict ? verdict.look : LOOKS[state] ?? "quiet";
+  badge.dataset.verdict = verdict ? verdict.name : "";
   badge.dataset.state = state;
-  badge.querySelector(".word").textContent = stateWord(state);
-  document.title = `${stateWord(state)} – ${machine}`;
+  const word = verdict ? verdictWord(verdict) : stateWord(state);
+  badge.querySelector(".word").textContent = word;
+  document.title = `${word} – ${machine}`;
 }
 
 function showSilence(stale) {

@@ -2,16 +2,18 @@
 import { request } from "./controls.js";
 import { byId, make } from "./dom.js";
 import { inEnglish, known, number, onLanguage, say, timeOfDay } from "./language.js";
+import { micrometres } from "./parts.js";
 import { openResiduals } from "./residuals.js";
+import { openResult } from "./result-card.js";
 import { openScene } from "./scene.js";
 import { on, seen } from "./store.js";
-import { doing, eventText } from "./wording.js";
+import { AT_REST, doing, eventText } from "./wording.js";
 
 const RECENT = 4;
 
 const FACTS = [
-  ["fact.ve_before", ({ ve_before_um }) => withUnit(ve_before_um, "µm")],
-  ["fact.ve_now", ({ ve_now_um }) => withUnit(ve_now_um, "µm")],
+  ["fact.ve_before", ({ ve_before_um }) => micrometres(ve_before_um)],
+  ["fact.ve_now", ({ ve_now_um }) => micrometres(ve_now_um)],
   ["fact.balls", ({ balls }) => number(balls, 0)],
   ["fact.bank", bankText],
 ];
@@ -23,12 +25,14 @@ export function openOperator() {
   const track = make("div", { className: "track", role: "progressbar" }, bar);
   const percent = make("span"), left = make("span", { id: "minutes-left" });
   const cards = make("div", { id: "cards" });
-  const facts = make("dl", { className: "facts" });
+  const facts = make("dl", { className: "facts", id: "tiles" });
   const stage = make("div", { className: "stage" }), residuals = make("section", { className: "residuals" });
   const recent = make("ul", { className: "recent", id: "recent" });
   const progress = make("div", { className: "progress" }, track, make("div", { className: "figures" }, percent, left));
-  view.replaceChildren(stage, make("div", { className: "side" }, cards, words, progress, facts, residuals, recent));
-  const show = () => seen.status && render(seen.status, { words, bar, track, percent, left, cards, facts });
+  const result = make("div", { id: "result-place" });
+  const above = make("div", { className: "now" }, words, progress);
+  view.replaceChildren(stage, make("div", { className: "side" }, above, cards, facts, result, residuals, recent));
+  const show = () => seen.status && render(seen.status, { words, progress, bar, track, percent, left, cards, facts });
   const showRecent = () => recent.replaceChildren(...seen.events.slice(0, RECENT).map(eventLine));
   on("status", show);
   on("event", showRecent);
@@ -36,12 +40,14 @@ export function openOperator() {
   onLanguage(showRecent);
   openScene(stage);
   openResiduals(residuals);
+  openResult(result);
 }
 
 function render(status, parts) {
   const now = doing(status);
   if (parts.words.textContent !== now) parts.words.textContent = now;
-  const share = status.state === "complete" ? 100 : Math.round(100 * status.fraction);
+  const share = Math.round(100 * status.fraction);
+  parts.progress.hidden = AT_REST.has(status.state);
   parts.bar.style.width = `${share}%`;
   parts.track.setAttribute("aria-valuenow", share);
   parts.track.setAttribute("aria-label", say("progress.name"));
@@ -132,8 +138,6 @@ function alarmCard({ code, text, hint, where }) {
 /* The general hint of the service equals that of the catalogue; only a more specific hint is shown in addition. */
 const lettersOf = (text) => text.toLowerCase().replaceAll(/\W+/g, "");
 const sameWords = (one, other) => lettersOf(one) === lettersOf(other);
-
-const withUnit = (value, unit) => (value === null ? "–" : `${number(value, 1)} ${unit}`);
 
 function bankText({ active_bank: bank, written_not_active: waiting }) {
   if (waiting !== null) return say("bank.waiting", { bank: waiting });
