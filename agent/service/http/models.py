@@ -111,6 +111,14 @@ class UnprovedTableView(BaseModel):
     way_out: str
 
 
+class LinkView(BaseModel):
+    """Link of a device; `problem` says why it does not answer, and is empty if it does."""
+
+    device: str
+    ok: bool
+    problem: str
+
+
 class VerdictView(BaseModel):
     """Verdict on a run: a stable `name`, its colour and shape on the page (`look`, `sign`), and English texts."""
 
@@ -141,6 +149,9 @@ class StatusView(BaseModel):
     ve_before_um: float | None
     ve_now_um: float | None
     active_bank: int | None
+    read_age_s: float | None
+    read_problem: str
+    links: list[LinkView]
     written_not_active: int | None
     unfinished: str | None
     unproved: UnprovedTableView | None

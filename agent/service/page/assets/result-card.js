@@ -35,7 +35,7 @@ async function lastRun() {
 function render(place) {
   const { status } = seen, { run } = now;
   const own = status?.verdict && status.run_id !== run?.run_id ? { verdict: status.verdict, kind: status.kind, started: status.started } : run;
-  const shown = JSON.stringify([now.key && own, document.documentElement.lang]);
+  const shown = JSON.stringify([now.key && own, Boolean(status?.verdict), document.documentElement.lang]);
   if (place.dataset.shown === shown) return;
   place.dataset.shown = shown;
   place.replaceChildren(...(now.key !== null && own ? [card(own, own === run)] : []));
@@ -46,7 +46,7 @@ function card(run, stored) {
   const made = make("section", { className: "card result", id: "result" },
     make("h3", {}, verdictMark(verdict)),
     make("p", { className: "remark" }, `${say("result.last")} ${wordOr("kind", kind)}, ${instant(started)}`),
-    make("p", {}, say(`verdict.${verdict.name}.is`)),
+    seen.status.verdict ? null : make("p", {}, say(`verdict.${verdict.name}.is`)),
     reason ? make("p", { className: "where" }, reason) : null,
     stored ? figures(run) : null,
     stored && run.ended ? make("a", { className: "button", id: "result-report", href: `/api/page/runs/${encodeURIComponent(run_id)}/report.html`, download: "" }, say("result.report")) : null);

@@ -26,12 +26,27 @@ export function verdictMark(verdict) {
 
 export const AT_REST = new Set(["idle", "complete", "refused", "written, not active", "aborted", "faulted"]);
 
-export function doing({ state, step, unproved, verdict }) {
+/* An idle machine is ready only if nothing is left to be dealt with. */
+function idleWords({ unfinished, alarms }) {
+  if (alarms.length) return say("doing.idle_alarm");
+  return say(unfinished === null ? "doing.idle" : "doing.idle_unfinished");
+}
+
+/* The look of the badge: idle is quiet only if nothing is left to be dealt with. */
+export function lookOf({ state, verdict, unfinished, alarms }) {
+  if (verdict) return verdict.look;
+  if (state === "idle" && alarms.length) return "fault";
+  return state === "idle" && unfinished !== null ? "held" : LOOKS[state] ?? "quiet";
+}
+
+export function doing(status) {
+  const { state, step, unproved, verdict } = status;
   if (unproved && AT_REST.has(state)) {
     const word = state === "idle" ? say("unproved.not_ready") : stateWord(state);
     return say("doing.unproved", { state: word, bank: unproved.bank });
   }
   if (verdict && AT_REST.has(state)) return say(`verdict.${verdict.name}.is`);
+  if (state === "idle") return idleWords(status);
   const words = say(`doing.${named(state)}`);
   const where = MOVING.has(state) ? stepWords(step) : "";
   return where ? `${words}: ${where}` : words;
