@@ -42,17 +42,21 @@ def read_controller(rig: Rig, settings: Settings, must_compare: Callable[[int, i
     `must_compare` returns True if the active and the waiting bank are to be compared with the journal.
     """
     links, active, waiting, problem, compared = [], None, None, "", None
+    roles = settings.roles
+    asks_only = {roles.operator} - {roles.machine, roles.probe, roles.store, roles.thermometer}
     for name, device in rig.devices.items():
+        if name in asks_only:
+            continue  # a person is no link
         try:
             with _opened(device):
-                if name == settings.roles.store:
+                if name == roles.store:
                     active, waiting = rig.store.active_bank(), rig.store.pending_bank()
                     if must_compare(active, waiting):
                         compared = reconcile(rig, settings.state_directory, restore=False)
             links.append(LinkState(name))
         except VolcalError as error:
             links.append(LinkState(name, error.message))
-            if name == settings.roles.store:
+            if name == roles.store:
                 active, waiting, problem, compared = None, None, error.message, None
     return ControllerReading(tuple(links), active, waiting, problem, compared)
 

@@ -144,14 +144,18 @@ class Device:
 
 
 def read(store: Any, **devices: Device) -> ControllerReading:
+    cnc = dict.fromkeys(("machine", "probe", "store", "thermometer"), "cnc")
+    roles = SimpleNamespace(**cnc, operator="console")
     rig = cast(Rig, SimpleNamespace(devices=devices, store=store))
-    settings = cast(Any, SimpleNamespace(roles=SimpleNamespace(store="cnc"), state_directory=Path()))
+    settings = cast(Any, SimpleNamespace(roles=roles, state_directory=Path()))
     return read_controller(rig, settings, lambda *_: False)
 
 
 def test_each_device_says_for_itself_whether_it_answers() -> None:
     cnc, mount = Device(), Device(LinkLost("refused"))
-    found = read(SimpleNamespace(active_bank=lambda: 2, pending_bank=lambda: None), cnc=cnc, mount=mount)
+    found = read(
+        SimpleNamespace(active_bank=lambda: 2, pending_bank=lambda: None), cnc=cnc, mount=mount, console=Device()
+    )
     assert found == ControllerReading((LinkState("cnc"), LinkState("mount", "refused")), 2)
     assert (cnc.log, mount.log) == (["open", "close"], ["open"])
 
