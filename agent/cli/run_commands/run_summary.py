@@ -22,7 +22,7 @@ def _rows(outcome: Outcome) -> list[tuple[str, str]]:
     rows = [
         ("verdict", f"{outcome.verdict.sign} {outcome.verdict.sentence['en']}"),
         ("position set", f"{outcome.position_set}, {outcome.formulation}"),
-        ("measured", f"{outcome.balls} balls, {outcome.touches} touches"),
+        ("measured", f"{outcome.touches} touches; {outcome.balls} ball centres in the estimate"),
         *time_rows(outcome),
     ]
     if outcome.estimation is not None:

@@ -92,8 +92,10 @@ def identity(data: ReportData) -> Rows:
     if identification is not None:
         centres = plural(identification.observations.size, "ball centre")
         measured = f"{centres} in {plural(len(identification.positions), 'position')}"
-        rows += [("Measured", measured), ("Formulation", identification.estimate.formulation)]
+        rows += [("In the estimate", measured), ("Formulation", identification.estimate.formulation)]
     rows += data.header.settings.items()
+    if run.balls is not None:
+        rows.append(("Balls measured", str(run.balls)))
     if run.touches is not None:
         rows.append(("Touches", str(run.touches)))
     if run.machine_minutes is not None:

@@ -357,10 +357,12 @@ class Owner:
                 self._parts.reports.request(run_id)
 
     def _conclude(self, state: RunState, error: BaseException | None) -> None:
-        idle = self._idle_status()
+        idle, measured = self._idle_status(), self._measured()
         with self._changed:
             read = self._board.status()
             self._board.show_idle(idle)
+            if measured is not None:
+                self._board.show_measured(*measured)
             if error is not None:
                 self._board.show_bank(None)
             elif read.active_bank is not None:
@@ -382,6 +384,13 @@ class Owner:
         except Exception:  # these figures are for display only: the machine must be released without them
             log.exception("state of the machine between runs unknown")
             return IdleStatus()
+
+    def _measured(self) -> tuple[int, int] | None:
+        try:
+            return self._parts.journal_state.measured(self._board.status().run_id)
+        except VolcalError as error:  # these numbers are for display only
+            log.warning("measured balls of the run not known", error=str(error))
+            return None
 
     def _require(self, what: str, why: str) -> None:
         status = self._board.status()

@@ -17,7 +17,7 @@ from drivers.roles import Device
 
 @dataclass(frozen=True)
 class ControllerReading:
-    """What the devices said when they were last asked.
+    """State of the devices and of the compensation when they were last asked.
 
     `active_bank` is None if the store could not be read; `problem` then says why. `waiting_bank` becomes active only
     later. `compared` is the comparison with the journal, or None if it was not made again.

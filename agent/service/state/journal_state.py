@@ -75,6 +75,14 @@ class JournalState:
         alarm = Alarm(INTERRUPTED_CODE, text, hint)
         return UnacknowledgedEnd(RunState.FAULTED, run.run_id, run.kind, alarm, UNFINISHED, *measured)
 
+    def measured(self, run_id: str | None) -> tuple[int, int] | None:
+        """Return the numbers of measured balls and of touches of a run; None if the journal does not have it."""
+        if run_id is None or not has_journal(self.directory):
+            return None
+        with open_journal(self.directory, JournalFailed) as reader:
+            run = reader.run(run_id)
+            return None if run is None else (reader.count_balls(run.run), reader.count_touches(run.run))
+
     def acknowledge(self, run_id: str | None) -> None:
         """Record in the journal that the end of a run is acknowledged. Raise JournalFailed if the record cannot be
         written."""

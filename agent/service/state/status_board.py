@@ -110,6 +110,10 @@ class StatusBoard:
     def show_idle(self, idle: IdleStatus) -> None:
         self._change(**vars(idle))
 
+    def show_measured(self, balls: int, touches: int) -> None:
+        """Show the numbers of balls and touches that the journal has of the run that has ended."""
+        self._change(balls=balls, touches=touches)
+
     def show_bank(self, bank: int | None, problem: str = "") -> None:
         """Show the bank that was just seen to be active. If `bank` is None, it is not known; `problem` says why."""
         if bank is not None:
