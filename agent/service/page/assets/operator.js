@@ -57,10 +57,10 @@ function render(status, parts) {
   parts.links.ariaLabel = say("link.title");
   parts.links.replaceChildren(...status.links.map(linkMark));
   const cards = [
-    ...(status.unfinished !== null && AT_REST.has(status.state) ? [unfinishedCard(status)] : []),
     ...(status.question ? [questionCard(status.question)] : []),
     ...(status.unproved ? [unprovedCard(status)] : []),
     ...alarmsBeside(status).map(alarmCard),
+    ...(status.unfinished !== null && status.unproved === null && AT_REST.has(status.state) ? [unfinishedCard(status)] : []),
   ];
   const shown = JSON.stringify([status.question, status.unfinished, status.state, status.unproved, status.may, status.alarms, document.documentElement.lang]);
   if (parts.cards.dataset.shown === shown) return;

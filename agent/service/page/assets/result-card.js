@@ -45,7 +45,7 @@ function card(run, stored) {
   const { run_id, kind, started, verdict, reason } = run;
   const made = make("section", { className: "card result", id: "result" },
     make("h3", {}, verdictMark(verdict)),
-    make("p", { className: "remark" }, `${say("result.last")} ${wordOr("kind", kind)}, ${instant(started)}`),
+    make("p", { className: "remark" }, [`${say("result.last")} ${wordOr("kind", kind)}`, started ? instant(started) : null].filter(Boolean).join(", ")),
     seen.status.verdict ? null : make("p", {}, say(`verdict.${verdict.name}.is`)),
     reason ? make("p", { className: "where" }, reason) : null,
     stored ? figures(run) : null,
