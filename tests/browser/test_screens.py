@@ -88,7 +88,7 @@ def told(chromium: Browser, house: Service, locale: str = "en") -> Iterator[tupl
         page.reload()
         expect(page.locator("#doing")).not_to_be_empty()
         yield page, said
-        page.unroute_all(behavior="ignoreErrors")
+        page.unroute_all(behavior="ignoreErrors")  # the page asks for the status until it is closed
 
 
 def edges(page: Page, selector: str) -> tuple[float, float]:
