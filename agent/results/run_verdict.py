@@ -60,8 +60,8 @@ ACCEPTED = _verdict(
     "✔",
     ("Accepted", "Angenommen"),
     (
-        "The new table is written, active and proved by fresh measurements.",
-        "Die neue Tabelle ist geschrieben, aktiv und durch neue Messungen bestätigt.",
+        "The new table was written, activated and proved by fresh measurements.",
+        "Die neue Tabelle wurde geschrieben, aktiviert und durch neue Messungen bestätigt.",
     ),
 )
 CONFIRMED = _verdict(
@@ -70,8 +70,8 @@ CONFIRMED = _verdict(
     "✔",
     ("Confirmed", "Bestätigt"),
     (
-        "The active compensation is kept: measurements confirm it, and a new table would not be provably better.",
-        "Die aktive Kompensation bleibt: Messungen bestätigen sie, eine neue Tabelle wäre nicht nachweisbar besser.",
+        "The active compensation was kept: measurements confirmed it, and a new table was not provably better.",
+        "Die aktive Kompensation blieb: Messungen bestätigten sie, eine neue Tabelle war nicht nachweisbar besser.",
     ),
 )
 FUSED = _verdict(
@@ -80,8 +80,8 @@ FUSED = _verdict(
     "✔",
     ("Fused", "Fusioniert"),
     (
-        "The measurements of the night were combined with those of earlier nights; the active table is kept.",
-        "Die Messungen der Nacht wurden mit denen früherer Nächte zusammengeführt; die aktive Tabelle bleibt.",
+        "The measurements of the night were combined with those of earlier nights; the active table was kept.",
+        "Die Messungen der Nacht wurden mit denen früherer Nächte zusammengeführt; die aktive Tabelle blieb.",
     ),
 )
 WITHIN = _verdict(
@@ -131,8 +131,8 @@ REFUSED = _verdict(
     "!",
     ("Refused", "Abgelehnt"),
     (
-        "The run was refused; no table was written and the compensation is as it was.",
-        "Der Lauf wurde abgelehnt; keine Tabelle wurde geschrieben, die Kompensation ist unverändert.",
+        "The run was refused; no table was written, and it left the compensation as it was.",
+        "Der Lauf wurde abgelehnt; keine Tabelle wurde geschrieben, die Kompensation blieb unverändert.",
     ),
 )
 RESTORED = _verdict(

@@ -32,7 +32,8 @@ class ControllerReading:
 
 def unreachable(settings: Settings, problem: str) -> ControllerReading:
     """Return the reading if no device can be asked."""
-    return ControllerReading(tuple(LinkState(name, problem) for name in settings.devices), problem=problem)
+    links = tuple(LinkState(name, problem) for name in settings.devices if name not in _asks_only(settings))
+    return ControllerReading(links, problem=problem)
 
 
 def read_controller(rig: Rig, settings: Settings, must_compare: Callable[[int, int | None], bool]) -> ControllerReading:
@@ -42,11 +43,10 @@ def read_controller(rig: Rig, settings: Settings, must_compare: Callable[[int, i
     `must_compare` returns True if the active and the waiting bank are to be compared with the journal.
     """
     links, active, waiting, problem, compared = [], None, None, "", None
-    roles = settings.roles
-    asks_only = {roles.operator} - {roles.machine, roles.probe, roles.store, roles.thermometer}
+    roles, asks_only = settings.roles, _asks_only(settings)
     for name, device in rig.devices.items():
         if name in asks_only:
-            continue  # a person is no link
+            continue
         try:
             with _opened(device):
                 if name == roles.store:
@@ -59,6 +59,12 @@ def read_controller(rig: Rig, settings: Settings, must_compare: Callable[[int, i
             if name == roles.store:
                 active, waiting, problem, compared = None, None, error.message, None
     return ControllerReading(tuple(links), active, waiting, problem, compared)
+
+
+def _asks_only(settings: Settings) -> set[str]:
+    """Return the name of the device through which only a person is asked, if there is one: a person is not a link."""
+    roles = settings.roles
+    return {roles.operator} - {roles.machine, roles.probe, roles.store, roles.thermometer}
 
 
 @contextmanager
