@@ -21,6 +21,7 @@ from agent.service.allowed_requests import AT_REST, allowed_in
 MEASURES = (Path(__file__).parent / "measures.js").read_text()
 NO_EVENTS = "retry: 3600000\n\n"
 SCREENS = ((390, 844), (800, 480), (768, 1024), (1280, 800), (1920, 1080))
+SECTIONS = 9
 RUN = "20261128T010000Z-abcd"
 ALARM = {
     "code": 431,
@@ -150,8 +151,11 @@ def test_every_section_fits_a_phone_and_a_small_panel(chromium: Browser, house: 
     for page in opened(chromium, house):
         page.evaluate(MEASURES)
         page.click("#tab-engineer")
-        for section in page.locator("#sections button").all():
+        expect(page.locator("#sections button")).to_have_count(SECTIONS)
+        for number in range(SECTIONS):
+            section = page.locator("#sections button").nth(number)
             section.click()
+            expect(section).to_have_attribute("aria-current", "page")
             expect(page.locator("#content[aria-busy]")).to_have_count(0)
             for width, height in SCREENS[:3]:
                 page.set_viewport_size(ViewportSize(width=width, height=height))
