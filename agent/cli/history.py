@@ -34,7 +34,7 @@ if will_run():
 if TYPE_CHECKING:
     from agent.history.trends import Trend
 
-RUN_COLUMNS = ("run", "kind", "state", "min", "VE bare", "VE active", "held out", "night")
+RUN_COLUMNS = ("run", "kind", "verdict", "min", "VE", "VCE", "held out before", "after")
 _machine = click.option("--machine", metavar="NAME", help="Another machine in the same database.")
 _json = click.option("--json", "as_json_object", is_flag=True, help="Print one JSON object on stdout.")
 
@@ -154,15 +154,14 @@ def _opened(config: Path) -> Iterator[tuple[Settings, HistoryStore]]:
 
 
 def _cells(run: StoredRun) -> list[str]:
-    held_out = run.held_out_after_um if run.accepted else run.held_out_before_um
-    figures = (run.ve_before_um, run.acting_um, held_out)
+    figures = (run.ve_before_um, run.acting_um, run.held_out_before_um, run.held_out_after_um)
+    verdict = run.verdict
     return [
         run.run_id,
         run.kind,
-        run.state,
+        f"{verdict.sign} {verdict.word['en']}",
         f"{run.machine_minutes:.1f}",
         *("-" if value is None else f"{value:.2f}" for value in figures),
-        run.night or "",
     ]
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -267,6 +267,15 @@ class JournalReader:
         """Return the last decision of the kind `kind` in the run; None if there is none."""
         query = queries.DECISION + "WHERE run = :run AND decisions.kind = :kind ORDER BY decisions.rowid DESC LIMIT 1"
         return self._first(DecisionRow, query, run=run, kind=kind)
+
+    def decision_records(self, run: int) -> Callable[[str], Mapping[str, Any] | None]:
+        """Return a function that returns the content of the run's last decision of a kind; None if there is none."""
+
+        def record(kind: str) -> Mapping[str, Any] | None:
+            row = self.decision(run, kind)
+            return None if row is None else row.record
+
+        return record
 
     def has_decision(self, run: int, kinds: Collection[str]) -> bool:
         query = "SELECT 1 FROM decisions WHERE run = :run AND kind IN (SELECT value FROM json_each(:kinds)) LIMIT 1"

@@ -19,7 +19,7 @@ def run_document(run: StoredRun, *, whole: bool = True) -> dict[str, Any]:
 
     If `whole` is True, the mapping includes the estimated parameters, the temperatures and the decisions of the run.
     """
-    document = {name: _plain(getattr(run, name)) for name in COLUMNS}
+    document = {**{name: _plain(getattr(run, name)) for name in COLUMNS}, "verdict": run.verdict.as_json()}
     if whole:
         document["parameters"] = [
             {"name": p.name, "value": p.value, "standard_uncertainty": p.standard_uncertainty, "unit": p.unit}
@@ -42,11 +42,11 @@ def as_csv(runs: Sequence[StoredRun]) -> str:
     heads = [head for name in names for head in (f"{name}_{units[name]}", f"u_{name}_{units[name]}")]
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
-    writer.writerow([*COLUMNS, *heads])
+    writer.writerow([*COLUMNS, "verdict", *heads])
     for run in runs:
         known = {p.name: (p.value, p.standard_uncertainty) for p in run.parameters}
         values = [value for name in names for value in known.get(name, (None, None))]
-        writer.writerow([*(_plain(getattr(run, name)) for name in COLUMNS), *values])
+        writer.writerow([*(_plain(getattr(run, name)) for name in COLUMNS), run.verdict.name, *values])
     return file.getvalue()
 
 

@@ -13,12 +13,13 @@ from typing import Any
 
 from agent.execution.run_record import RunRecord
 from agent.execution.stored_json import damage_reported, stored_json
-from agent.results.decision_kinds import CONFIRMED, IDENTIFIED, INPUTS, OUTCOME
+from agent.results.decision_kinds import CONFIRMED, IDENTIFIED, INPUTS, OUTCOME, PROOF
+from agent.results.run_verdict import run_figures
 from drivers.errors import InputError
 from twin.units import MICRO_UNITS
 
 STORED_DECISIONS = frozenset(
-    {"gate", "proof", CONFIRMED, "night", "verify", "accepted", "refused", "full-calibration-needed"}
+    {"gate", PROOF, CONFIRMED, "night", "verify", "accepted", "refused", "full-calibration-needed"}
     | {"activate/activated", "restore/activated", "publish/staged"}
 )
 """Kinds of decisions stored in the history. The large records of a run are only in its journal."""
@@ -99,25 +100,21 @@ def _errors(record: RunRecord, outcome: Mapping[str, Any]) -> dict[str, Any]:
     """Return the columns with the volumetric errors, the held-out balls and the decisions about the table."""
     volumetric = (record.decision(IDENTIFIED) or {}).get("volumetric", {})
     before, after = volumetric.get("before_aligned", {}), volumetric.get("after_aligned", {})
-    proof = record.decision("proof") or {}
+    proof = record.decision(PROOF) or {}
     night = outcome.get("night") or record.decision("night") or record.decision("verify") or {}
-    confirmed = outcome.get("confirmed") or {}
-    accepted = proof.get("accepted")
-    calibrated = after.get("value_um")
-    now_um = confirmed.get("ve_kept_um", night.get("ve_now_um"))
-    written = night.get("ve_after_um", calibrated) if night.get("ve_after_um") is not None else calibrated
+    figures = run_figures(record.decision)
     return {
-        "ve_before_um": before.get("value_um"),
+        "ve_before_um": figures.ve_um,
         "ve_before_sigma_um": before.get("standard_uncertainty_um"),
-        "ve_after_um": calibrated,
+        "ve_after_um": after.get("value_um"),
         "ve_after_sigma_um": after.get("standard_uncertainty_um"),
-        "ve_now_um": now_um,
-        "acting_um": written if accepted else now_um,
-        "held_out_before_um": proof.get("before_um", confirmed.get("held_out_um", night.get("held_out_um"))),
-        "held_out_after_um": proof.get("after_um"),
+        "ve_now_um": (outcome.get("confirmed") or {}).get("ve_kept_um", night.get("ve_now_um")),
+        "acting_um": figures.vce_um,
+        "held_out_before_um": figures.held_out_before_um,
+        "held_out_after_um": figures.held_out_after_um,
         "held_out_predicted_um": proof.get("predicted_um", night.get("held_out_predicted_um")),
-        "accepted": accepted,
-        "night": night.get("decision", CONFIRMED if confirmed else None),
+        "accepted": figures.accepted,
+        "night": figures.decision,
         "since": night.get("since"),
         "nights": night.get("nights"),
     }

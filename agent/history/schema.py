@@ -27,6 +27,8 @@ from sqlalchemy import (
     Text,
 )
 
+from agent.results.run_verdict import RunVerdict, verdict_of
+
 SCHEMA_VERSION = 1
 _TYPES = {float: Double(), datetime: DateTime(timezone=True), int: Integer(), str: Text(), bool: Boolean()}
 """SQL type for each Python type. Floats have double precision in all databases."""
@@ -142,6 +144,12 @@ class StoredRun:
     parameters: list[StoredParameter] = field(default_factory=list)
     temperatures: list[StoredTemperature] = field(default_factory=list)
     decisions: list[StoredDecision] = field(default_factory=list)
+
+    @property
+    def verdict(self) -> RunVerdict:
+        return verdict_of(
+            self.kind, self.state, ended=self.ended is not None, accepted=self.accepted, decision=self.night
+        )
 
 
 def utc_time(time: datetime) -> datetime:

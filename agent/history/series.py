@@ -23,7 +23,7 @@ from twin.units import S_PER_DAY
 BARE, ACTIVE, HELD_OUT = "ve_bare", "ve_acting", "held_out"
 TITLES = {
     BARE: "VE without table",
-    ACTIVE: "VE with the active table",
+    ACTIVE: "VCE with table",
     HELD_OUT: "rms of held-out balls",
 }
 _COEFFICIENT = re.compile(r"(E[XYZABC][XYZ])\[(\d+)\]")

@@ -43,6 +43,7 @@ from agent.results.facts import ArtefactFacts, ProbeFacts, ProbeRing, Quantity, 
 from agent.results.gates import Gate
 from agent.results.homing_scatter import HomingScatter, after_homing_text
 from agent.results.run_outcome import Decision
+from agent.results.run_verdict import RunVerdict, run_figures, verdict_of
 from agent.results.travel_parts import TravelParts
 from agent.thermal.thermometer import ThermometerFacts
 from drivers.errors import InputError
@@ -103,8 +104,20 @@ def _header(record: RunRecord, found: IdentificationData | None) -> Header:
         timestamp=record.ended or record.started,
         software_version=record.software,
         state=record.state if record.ended else f"{record.state}, interrupted",
+        verdict=_verdict(record),
         position_set=Path(asked_for).name if found is None else name_of_positions(found.positions),
         settings=shown,
+    )
+
+
+def _verdict(record: RunRecord) -> RunVerdict:
+    figures = run_figures(record.decision)
+    return verdict_of(
+        record.kind,
+        record.state,
+        ended=record.ended is not None,
+        accepted=figures.accepted,
+        decision=figures.decision,
     )
 
 
@@ -361,9 +374,9 @@ def _night_rows(night: Mapping[str, Any]) -> list[tuple[str, str]]:
     return [
         ("Nights since", fixed(night["nights"], 1)),
         ("Measured", f"{night['positions']} positions at station {night['station']}"),
-        ("VE after that night", _um(night["ve_before_um"])),
-        ("VE now", _um(night["ve_now_um"])),
-        ("VE with an updated table", _um(night["ve_after_um"])),
+        ("VCE after that night", _um(night["ve_before_um"])),
+        ("VCE now", _um(night["ve_now_um"])),
+        ("VCE with an updated table", _um(night["ve_after_um"])),
         ("Held-out balls, rms", f"{held_out}, expected {expected}"),
         ("Consistency with the prediction", "–" if chi2 is None else f"normalised χ² {fixed(chi2, 2)}"),
         *([("Finds a step of any squareness by", _found_step(night["finds"]))] if night.get("finds") else []),

@@ -7,5 +7,5 @@ compute the results.
 from __future__ import annotations
 
 INPUTS, PROBE, IDENTIFIED, HELD_OUT, OUTCOME = "inputs", "probe", "identified", "held-out", "outcome"
-CONFIRMED = "confirmed"
+CONFIRMED, PROOF = "confirmed", "proof"
 TRIAL = "try"

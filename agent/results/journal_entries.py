@@ -126,8 +126,9 @@ def _rms_um(job: Job, artefact: Artefact, balls: Sequence[MeasuredBall]) -> floa
 
 def record_outcome(journal: RunJournal, outcome: Outcome) -> None:
     """Write the outcome of the run to the journal. The entry is the JSON object that the command-line option `--json`
-    prints, without the path of the report."""
-    journal.decision(OUTCOME, {name: value for name, value in outcome.as_json().items() if name != "report"})
+    prints, without the path of the report and the verdict, which follows from the rest."""
+    omitted = ("report", "verdict")
+    journal.decision(OUTCOME, {name: value for name, value in outcome.as_json().items() if name not in omitted})
 
 
 def input_files(machine: Path, artefact: Path) -> Iterator[Path]:

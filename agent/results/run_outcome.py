@@ -6,13 +6,14 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
-from agent.execution.states import RunState
+from agent.execution.states import FINAL, RunState
 from agent.probing.reversal import AxisReversal
 from agent.results.estimation import NO_ESTIMATION, EstimationResult
 from agent.results.facts import Quantity
 from agent.results.homing_scatter import AfterHoming
 from agent.results.night_changes import drift_document, jump_documents
 from agent.results.run_time import RunTime
+from agent.results.run_verdict import RunVerdict, verdict_of
 from agent.results.trial_report import TrialReport
 from twin.artefact.effect_test import NO_GAIN, REQUIRED_POWER
 from twin.monitoring.constant_drift import FoundDrift
@@ -230,6 +231,17 @@ class Outcome:
         return None if self.estimation is None else self.estimation.volumetric.after_aligned
 
     @property
+    def verdict(self) -> RunVerdict:
+        decision = self.night.decision if self.night is not None else Decision.CONFIRMED if self.confirmed else None
+        return verdict_of(
+            self.kind,
+            self.state.value,
+            ended=self.state in FINAL,
+            accepted=None if self.proof is None else self.proof.accepted,
+            decision=None if decision is None else decision.value,
+        )
+
+    @property
     def after_homing_record(self) -> dict[str, object] | None:
         """JSON object about the accuracy after the next homing; None if it is not known."""
         after, ve = self.after_homing, self.ve_now
@@ -241,6 +253,7 @@ class Outcome:
         return {
             "kind": self.kind,
             "state": self.state.value,
+            "verdict": self.verdict.as_json(),
             "run_id": self.run_id,
             "position_set": self.position_set,
             "formulation": self.formulation,

@@ -80,12 +80,13 @@ def reconcile(rig: Rig, state_directory: Path, *, of_run: int | None = None, res
     if waiting is not None:
         return _waiting(rig, last, active, waiting, unfinished)
     state = _state(last, _active_bank(rig, active))
+    kept = state is CompensationState.LOST and _active_bank(rig, last.expected.number) == last.expected
     if state is CompensationState.UNPROVED and restore:
         return _restored(rig, state_directory, last, active, unfinished)
-    unrepaired = state in (CompensationState.UNPROVED, CompensationState.CHANGED)
+    unrepaired = state in (CompensationState.UNPROVED, CompensationState.CHANGED, CompensationState.LOST)
     action = ReconcileAction.LEFT if unrepaired else ReconcileAction.NOTHING
     unproved = _unproved(last, unfinished) if state is CompensationState.UNPROVED else None
-    instruction = _instruction(state, last, active) if unproved is None else unproved.way_out
+    instruction = _instruction(state, last, active, kept=kept) if unproved is None else unproved.way_out
     return Reconciliation(state, action, active, None, unfinished, instruction, unproved)
 
 
@@ -127,7 +128,13 @@ def _unproved(last: LastCompensation, unfinished: UnfinishedRun | None) -> Unpro
     return UnprovedTable(last.run_id, last.staged.number, last.former.number, provable)
 
 
-def _instruction(state: CompensationState, last: LastCompensation, active: int) -> str:
+def _instruction(state: CompensationState, last: LastCompensation, active: int, *, kept: bool) -> str:
+    if state is CompensationState.LOST:
+        number = last.expected.number
+        cause = f"bank 0 is active instead of bank {number}, as after a power loss or a new start of the controller"
+        if kept:
+            return f"{cause}; bank {number} still holds its table: activate it at the controller, or calibrate again"
+        return f"{cause}, and bank {number} no longer holds its table: restore it (`volcal table restore`)"
     if state is not CompensationState.CHANGED:
         return ""
     if last.unproved and last.staged is not None:
@@ -143,7 +150,11 @@ def _state(last: LastCompensation, active: RecordedBank) -> CompensationState:
     if active == last.expected:
         complete = last.staged is None or last.accepted
         return CompensationState.AS_EXPECTED if complete else CompensationState.NOT_ACTIVATED
-    return CompensationState.UNPROVED if active == last.staged else CompensationState.CHANGED
+    if active == last.staged:
+        return CompensationState.UNPROVED
+    # a person who changes the compensation activates another table; a controller that starts anew has none active
+    lost = active.number == 0 and not last.unproved
+    return CompensationState.LOST if lost else CompensationState.CHANGED
 
 
 def _active_bank(rig: Rig, active: int) -> RecordedBank:

@@ -17,6 +17,7 @@ class CompensationState(Enum):
     NOT_ACTIVATED = "the former table acts; a new one was written or begun, and never activated"
     UNPROVED = "a new table acts that was never proved"
     WAITING = "a new table waits for the controller before it acts"
+    LOST = "the controller no longer applies the table that the last run left active"
     CHANGED = "the active compensation is not the one expected after the last run"
     UNKNOWN = "there is no run to compare with"
 

@@ -83,7 +83,9 @@ _CODES: dict[type[errors.VolcalError], AlarmCode] = {
         410, "the planned path violates a limit or an obstacle", "move the mount or choose another position set"
     ),
     run_errors.GateRefused: AlarmCode(
-        420, "the result failed an acceptance gate", "the previous table stays active; see the gate given in the alarm"
+        420,
+        "refused by a condition for acceptance or start",
+        "nothing was written, the compensation is as it was; see the alarm text",
     ),
     run_errors.ForecastRefused: AlarmCode(
         421, "an acceptance gate is expected to refuse the run", "change the settings key given in the alarm"

@@ -14,6 +14,7 @@ from queue import Queue
 from typing import Any, Protocol
 
 from agent.execution.states import RunState
+from agent.results.run_verdict import RunVerdict
 from agent.runs.run_request import RunRequest, Source
 from agent.runs.unproved_table import UnprovedTable
 from drivers.roles import PlacementRequest
@@ -42,6 +43,18 @@ class Alarm:
 
 
 @dataclass(frozen=True)
+class LinkState:
+    """Link of the device `device`. `problem` is the reason why the device cannot be reached; it is empty if it can."""
+
+    device: str
+    problem: str = ""
+
+    @property
+    def ok(self) -> bool:
+        return not self.problem
+
+
+@dataclass(frozen=True)
 class Status:
     """State of the service at one instant.
 
@@ -57,6 +70,11 @@ class Status:
       ``answer``, ``resume_run``, ``restore_former``, ``give_up``).
     - `unfinished` is the identity of the interrupted run that can be resumed.
     - `unproved` is the table that is active although it was never proved, or None.
+    - `verdict` is the verdict on the run that has ended, until a reset or the next run; otherwise None.
+    - `active_bank` is the bank that the controller was last seen to apply. It is None if it is not known;
+      `read_problem` then says why the controller could not be read.
+    - `read_age_s` is the time in s since it was read between runs; None if it never was, or while a run is in progress.
+    - `links` says of each device whether it answered when it was last asked.
     - `written_not_active` is the bank whose table has been written but becomes active only when the controller is
       restarted.
     """
@@ -77,10 +95,14 @@ class Status:
     ve_before_um: float | None = None
     ve_now_um: float | None = None
     active_bank: int | None = None
+    read_age_s: float | None = None
+    read_problem: str = ""
+    links: tuple[LinkState, ...] = ()
     written_not_active: int | None = None
     unfinished: str | None = None
     unproved: UnprovedTable | None = None
     question: Question | None = None
+    verdict: RunVerdict | None = None
     alarms: tuple[Alarm, ...] = ()
     may: frozenset[str] = frozenset()
 

@@ -121,6 +121,7 @@ SETTINGS_RANGES: Mapping[str, PlausibleRange] = {
     "service.hang_timeout_s": PlausibleRange(5.0, 600.0),
     "service.computation_timeout_minutes": PlausibleRange(0.2, 240.0),
     "service.stop_timeout_s": PlausibleRange(5.0, 600.0),
+    "service.idle_read_period_s": PlausibleRange(0.0, 3600.0),
     "history.timeout_s": PlausibleRange(0.1, 60.0),
     "history.ve_tolerance_um": PlausibleRange(0.1, 2000.0),
     "history.held_out_tolerance_um": PlausibleRange(0.1, 2000.0),

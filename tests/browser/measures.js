@@ -15,6 +15,16 @@ window.visibleBox = (element) => {
   return right - left > 1 && bottom - top > 1 ? { left, top, right, bottom } : null;
 };
 
+/* The element must be whole on the screen, large enough for a finger, and covered by nothing. */
+window.outOfView = (element) => {
+  const { left, top, right, bottom, width, height } = element.getBoundingClientRect(), wrong = [];
+  if (left < -0.5 || top < -0.5 || right > innerWidth + 0.5 || bottom > innerHeight + 0.5) wrong.push(`outside: ${nameOf(element)} ${left} ${top} ${right} ${bottom}`);
+  if (width < LEAST_PX || height < LEAST_PX) wrong.push(`small: ${nameOf(element)} ${width} × ${height}`);
+  const corners = [left + 12, (left + right) / 2, right - 12].flatMap((x) => [top + 12, (top + bottom) / 2, bottom - 12].map((y) => [x, y]));
+  const covering = corners.map(([x, y]) => document.elementFromPoint(x, y)).filter((there) => !element.contains(there));
+  return wrong.concat(covering.map((there) => `covered by ${there ? nameOf(there) : "nothing"}`));
+};
+
 window.misplaced = (root = document) => {
   const wrong = [], boxes = [];
   const page = document.documentElement;

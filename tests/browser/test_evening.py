@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 
 from panel_pages import with_token
@@ -27,6 +28,27 @@ def state_is(page: Page, *states: str) -> None:
     expect(page.locator("#state")).to_have_attribute("data-state", re.compile(f"^({'|'.join(states)})$"))
 
 
+def expect_same_end(page: Page, house: Service, name: str) -> None:
+    """Badge, sentence, card, list of runs and `history list` call the end of the last run by one name."""
+    (run,) = house.get("/api/runs?limit=1")["runs"]
+    verdict = run["verdict"]
+    assert (verdict, verdict["name"]) == (house.status()["verdict"], name)
+    expect(page.locator("#state")).to_have_attribute("data-verdict", name)
+    expect(page.locator("#state .word")).to_have_text(verdict["word"])
+    expect(page.locator("#doing")).to_have_text(verdict["sentence"])
+    expect(page.locator("#result .verdict")).to_have_attribute("data-verdict", name)
+    expect(page.locator("#result")).to_contain_text(f"{run['held_out_before_um']:.2f}")
+    expect(page.locator("#recent")).to_contain_text(verdict["word"])
+    tile = page.locator("#tiles dd").nth(1)
+    expect(tile).to_have_text(page.locator("#result dd").nth(1).inner_text())
+    listed = house.command("history", "list", "--json")
+    assert json.loads(listed.stdout)["runs"][-1]["verdict"] == verdict
+    page.click("#tab-engineer")
+    page.click("#section-reports")
+    expect(page.locator("#content tbody tr").first.locator(".verdict")).to_have_attribute("data-verdict", name)
+    page.click("#tab-operator")
+
+
 def bank_shown(page: Page) -> str:
     return page.locator("#content .facts dd").nth(1).inner_text()
 
@@ -45,16 +67,17 @@ def test_a_calibration_by_hand_a_night_and_a_table_taken_back(page: Page, house:
     expect(page.locator(".residuals rect").nth(5)).to_be_attached()
     expect(page.locator("#start")).to_be_disabled()
     state_is(page, "complete")
-    expect(page.locator(".facts")).to_contain_text(re.compile(r"bank [12] active"))
+    expect(page.locator("#tiles")).to_contain_text(re.compile(r"bank [12] active"))
     expect(page.locator("#cards")).to_be_empty()
+    expect_same_end(page, house, "accepted")
     first = house.status()
     assert first["run_id"]
 
     begin(page, "nightly", slot_minutes=14)
     state_is(page, "measuring")
     state_is(page, "complete")
-    expect(page.locator("#recent")).to_contain_text("Complete")
     night = house.status()
+    expect_same_end(page, house, night["verdict"]["name"])
     assert (night["kind"], night["run_id"] != first["run_id"]) == ("nightly", True)
 
     page.click("#tab-engineer")

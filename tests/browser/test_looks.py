@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +13,6 @@ from playwright.sync_api import Page, Response, Route, expect
 
 SECTIONS = ("map", "curves", "trend", "parameters", "design", "tables", "events", "temperatures", "reports")
 MEASURES = (Path(__file__).parent / "measures.js").read_text()
-CATALOGUE = Path(__file__).parents[2] / "agent" / "service" / "page" / "assets" / "messages.json"
 INTERACTIVE = {
     "button",
     "link",
@@ -88,11 +86,12 @@ def test_no_word_stands_anywhere_but_in_the_catalogue(page: Page) -> None:
     """With every message marked, what is left unmarked is a number, a unit, or what the service says."""
 
     def marked(route: Route) -> None:
-        messages = json.loads(CATALOGUE.read_text())
+        messages = route.fetch().json()
         answer = {key: {tongue: f"⟦{text}⟧" for tongue, text in texts.items()} for key, texts in messages.items()}
         route.fulfill(json=answer)
 
     page.route("**/assets/messages.json", marked)
+    page.route("**/assets/verdicts.json", marked)
     said: set[str] = set(FOREIGN)
 
     def heard(response: Response) -> None:

@@ -14,21 +14,22 @@ def show_summary(outcome: Outcome) -> None:
     The path of the run's report file is printed on a separate line and is never truncated.
     """
     console = results_console()
-    console.print(facts_table(_rows(outcome), title=f"{outcome.run_id}: {outcome.state.value}"))
+    console.print(facts_table(_rows(outcome), title=f"{outcome.run_id}: {outcome.verdict.word['en']}"))
     console.print(f"report: {outcome.report or 'none'}", markup=False)
 
 
 def _rows(outcome: Outcome) -> list[tuple[str, str]]:
     rows = [
+        ("verdict", f"{outcome.verdict.sign} {outcome.verdict.sentence['en']}"),
         ("position set", f"{outcome.position_set}, {outcome.formulation}"),
-        ("measured", f"{outcome.balls} balls, {outcome.touches} touches"),
+        ("measured", f"{outcome.touches} touches; {outcome.balls} ball centres in the estimate"),
         *time_rows(outcome),
     ]
     if outcome.estimation is not None:
         estimation, estimate = outcome.estimation, outcome.estimation.estimate
         rows += [
-            ("VE before, estimated", f"{estimation.volumetric.before_aligned.value_um:.2f} µm (aligned)"),
-            ("VCE predicted", f"{estimation.volumetric.after_aligned.value_um:.2f} µm (aligned)"),
+            ("VE without table", f"{estimation.volumetric.before_aligned.value_um:.2f} µm (aligned)"),
+            ("VCE with table, predicted", f"{estimation.volumetric.after_aligned.value_um:.2f} µm (aligned)"),
             ("temperature", estimation.thermometer.short_text),
             *travel_rows(estimation.travel),
             ("rank", f"{estimate.rank} of {estimate.model.size} parameters"),
@@ -37,10 +38,10 @@ def _rows(outcome: Outcome) -> list[tuple[str, str]]:
         proof = outcome.proof
         text = f"{proof.before_um:.2f} → {proof.after_um:.2f} µm, predicted {proof.predicted_um:.2f} µm"
         rows.append(("held-out positions", text))
-        rows.append(("verdict", "accepted" if proof.accepted else f"restored: {proof.reason}"))
+        rows.append(("proof", proof.reason))
     if outcome.confirmed is not None:
         rows.append(("held-out positions", f"{outcome.confirmed.held_out_um:.2f} µm with the active compensation"))
-        rows.append(("verdict", outcome.confirmed.text))
+        rows.append(("decision", outcome.confirmed.text))
     if outcome.night is None:
         rows += homing_rows(outcome)
     if outcome.state in (RunState.COMPLETE, RunState.REFUSED):

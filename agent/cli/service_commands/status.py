@@ -56,8 +56,9 @@ def _rows(status: Mapping[str, Any]) -> list[tuple[str, str]]:
         rows.append(("measured", f"{status['balls']} balls, {status['touches']} touches"))
     if status["minutes_left"] is not None:
         rows.append(("progress", f"{100.0 * status['fraction']:.0f} %, {status['minutes_left']:.0f} min left"))
-    if status["ve_now_um"] is not None:
-        rows.append(("VE without and with the table", f"{status['ve_before_um']:.2f} → {status['ve_now_um']:.2f} µm"))
+    for name, key in (("VE without table", "ve_before_um"), ("VCE with table", "ve_now_um")):
+        if status[key] is not None:
+            rows.append((name, f"{status[key]:.2f} µm"))
     if status["active_bank"] is not None:
         rows.append(("active bank", str(status["active_bank"])))
     if status["written_not_active"] is not None:

@@ -15,6 +15,7 @@ import numpy as np
 
 from agent.results.facts import ArtefactFacts, ProbeFacts, Quantity, TableFacts, VolumetricSummary
 from agent.results.gates import Gate
+from agent.results.run_verdict import RunVerdict
 from agent.results.travel_parts import TravelParts
 from agent.thermal.thermometer import ThermometerFacts
 from twin.arrays import Array
@@ -97,7 +98,8 @@ SIDES_DEG = (0.0, 90.0, 180.0, -90.0)
 
 @dataclass(frozen=True)
 class Header:
-    """Title and identity of the report. `timestamp` is the UTC time in ISO 8601; `state` is the state of the run."""
+    """Title and identity of the report. `timestamp` is the UTC time in ISO 8601; `state` is the state of the run.
+    `verdict` is None for a report that belongs to no run."""
 
     title: str
     run_id: str
@@ -106,6 +108,12 @@ class Header:
     state: str
     position_set: str
     settings: Mapping[str, str] = field(default_factory=dict)
+    verdict: RunVerdict | None = None
+
+    @property
+    def end(self) -> str:
+        """Word for the end of the run, or its state if it has no verdict."""
+        return self.state if self.verdict is None else self.verdict.word["en"]
 
 
 @dataclass(frozen=True)

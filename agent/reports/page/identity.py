@@ -29,7 +29,7 @@ def tiles(data: ReportData, t: Texts) -> list[dict[str, str]]:
             *_of_run(data, t)[:2],
         ]
     else:
-        shown = [(t["tile_state"], data.header.state), *_of_run(data, t)]
+        shown = [(t["tile_state"], data.header.end), *_of_run(data, t)]
     return [{"text": text, "value": value} for text, value in shown]
 
 
@@ -92,8 +92,10 @@ def identity(data: ReportData) -> Rows:
     if identification is not None:
         centres = plural(identification.observations.size, "ball centre")
         measured = f"{centres} in {plural(len(identification.positions), 'position')}"
-        rows += [("Measured", measured), ("Formulation", identification.estimate.formulation)]
+        rows += [("In the estimate", measured), ("Formulation", identification.estimate.formulation)]
     rows += data.header.settings.items()
+    if run.balls is not None:
+        rows.append(("Balls measured", str(run.balls)))
     if run.touches is not None:
         rows.append(("Touches", str(run.touches)))
     if run.machine_minutes is not None:

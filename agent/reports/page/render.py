@@ -15,8 +15,11 @@ from agent.reports.page.figures import report_figures
 from agent.reports.page.identity import identity, tiles, validity
 from agent.reports.page.number_format import plural
 from agent.reports.page.texts import ENGLISH, Texts
+from agent.results.run_verdict import Look
 
 GOOD_STATES = ("complete", "idle", "held")
+"""States of a report that belongs to no run."""
+GOOD_LOOKS = (Look.GOOD, Look.NEUTRAL)
 
 
 def render_report(data: ReportData, texts: Texts = ENGLISH) -> str:
@@ -42,8 +45,9 @@ def page_values(data: ReportData, t: Texts) -> dict[str, Any]:
     """Return all values that the template uses, except the figures."""
     failed = [gate for gate in data.gates if not gate.passed]
     proof, night, header = data.run.verification, data.run.night, data.header
-    good = header.state in GOOD_STATES and not failed and (proof is None or proof.accepted)
-    state = header.state
+    verdict, state = header.verdict, header.end
+    good = header.state in GOOD_STATES if verdict is None else verdict.look in GOOD_LOOKS
+    good = good and not failed and (proof is None or proof.accepted)
     if failed:
         state = t["gates_failed"].format(state=state, gates=plural(len(failed), "gate"))
     return {
@@ -53,6 +57,7 @@ def page_values(data: ReportData, t: Texts) -> dict[str, Any]:
         "date": header.timestamp.replace("T", " ")[:16] + " UTC",
         "state": state,
         "good": good and (night is None or night.good),
+        "sentence": "" if verdict is None else verdict.sentence["en"],
         "reason": data.run.reason,
         "tiles": tiles(data, t),
         "identity": identity(data),

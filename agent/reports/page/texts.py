@@ -42,17 +42,17 @@ ENGLISH: Texts = {
     "parameters": "All parameters",
     "signatures": "Signatures",
     # figures at the top
-    "tile_before": "volumetric error without table, aligned",
-    "tile_after": "predicted after compensation, aligned",
+    "tile_before": "VE without table, aligned",
+    "tile_after": "VCE with table, aligned",
     "tile_held_out": "measured after compensation, held-out balls",
     "tile_chi2": "normalised χ² of the fit",
     "tile_seen": "parameters determined by the measurement",
     "tile_balls": "ball centres measured",
     "tile_minutes": "machine time",
     "tile_touches": "touches",
-    "tile_state": "final state of the run",
-    "tile_ve_now": "expected volumetric error now, with the active table",
-    "tile_ve_before": "the same after the last accepted night",
+    "tile_state": "end of the run",
+    "tile_ve_now": "VCE with table, expected now, aligned",
+    "tile_ve_before": "VCE after the last accepted night",
     # captions and notes
     "calibration_note": (
         "Ball centres at the reference temperature, estimated together with the errors of the machine, and their "
@@ -68,7 +68,7 @@ ENGLISH: Texts = {
         "Held-out positions, measured before and again with the new table active, and not used for the estimate. "
         "The line is twice the rms expected from estimate, misfit, certificate and touch repeatability."
     ),
-    "night_note": "Expected VE with the active table, rigidly aligned. Reference: run {since}.",
+    "night_note": "Expected VCE with the active table, rigidly aligned. Reference: run {since}.",
     "trend_note": (
         "All runs of this machine up to this one. Points: values with expanded uncertainty (k = 2). Line: weighted"
         " regression with its 95 % band, separate sections at steps. Dashed: tolerance."
@@ -144,7 +144,7 @@ ENGLISH: Texts = {
     "place_date": "place, date",
     "signature": "signature",
     # rows
-    "ve_aligned": "VE estimated, VCE predicted; aligned",
+    "ve_aligned": "VE without table, VCE with table; aligned",
     "travel": "part of the travel",
     "travel_measured": "inside the measured region ({share} %)",
     "travel_unmeasured": "outside the measured region ({share} %)",

@@ -20,6 +20,7 @@ from agent.service.http.app import create_app
 from agent.service.http.app_state import AppState
 from agent.service.http.endpoint import HttpEndpoint
 from agent.service.owner.health import Health
+from agent.service.owner.idle_reader import idle_reading
 from agent.service.owner.owner import Owner
 from agent.service.owner.owner_parts import OwnerParts, current_circumstances
 from agent.service.owner.unattended import Circumstances
@@ -58,7 +59,7 @@ def serve(config: Path, circumstances: Callable[[], Circumstances] = current_cir
         app_state = AppState(
             owner,
             parts.event_log,
-            Archive(directory, parts.reports.path),
+            Archive(directory, parts.reports.path, lambda: owner.running_id),
             parts.live_view,
             lambda: owner.settings,
             config,
@@ -73,7 +74,8 @@ def serve(config: Path, circumstances: Callable[[], Circumstances] = current_cir
         endpoints = [http, *further_endpoints(settings)]
         with open_endpoints(endpoints, owner):
             log.info("serving", url=http.url, machine=settings.machine.name, state_directory=str(directory))
-            MainLoop(owner, parts.health, Notifier(), signals, config, endpoints).run()
+            with idle_reading(owner):
+                MainLoop(owner, parts.health, Notifier(), signals, config, endpoints).run()
             parts.event_log.close()
         if not parts.reports.close(REPORT_TIMEOUT_S):
             log.warning("a report was not finished; it is rendered on request")

@@ -111,6 +111,24 @@ class UnprovedTableView(BaseModel):
     way_out: str
 
 
+class LinkView(BaseModel):
+    """Link of a device; `problem` says why it does not answer, and is empty if it does."""
+
+    device: str
+    ok: bool
+    problem: str
+
+
+class VerdictView(BaseModel):
+    """Verdict on a run: a stable `name`, its colour and shape on the page (`look`, `sign`), and English texts."""
+
+    name: str
+    look: Literal["done", "quiet", "busy", "held", "refused", "fault"]
+    sign: str
+    word: str
+    sentence: str
+
+
 class StatusView(BaseModel):
     """Status of the service, with the fields of `agent.service.control.Status`. `event` is the number of the last event
     that the status includes."""
@@ -131,17 +149,26 @@ class StatusView(BaseModel):
     ve_before_um: float | None
     ve_now_um: float | None
     active_bank: int | None
+    read_age_s: float | None
+    read_problem: str
+    links: list[LinkView]
     written_not_active: int | None
     unfinished: str | None
     unproved: UnprovedTableView | None
     question: QuestionView | None
+    verdict: VerdictView | None
     alarms: list[AlarmView]
     may: list[str]
     event: int
 
 
 class RunSummary(BaseModel):
-    """Summary of a run. The times are in UTC. `report` is true if a report exists."""
+    """Summary of a run. The times are in UTC. `report` is true if a report exists.
+
+    `ve_um` and `vce_um` are the volumetric errors in µm without a table (VE) and with the one that is active at the end
+    of the run (VCE); `held_out_before_um` and `held_out_after_um` are the rms residuals in µm of the held-out balls
+    with the former and with the new table.
+    """
 
     run_id: str
     kind: str
@@ -152,6 +179,12 @@ class RunSummary(BaseModel):
     software: str
     balls: int
     touches: int
+    machine_minutes: float | None
+    verdict: VerdictView
+    ve_um: float | None
+    vce_um: float | None
+    held_out_before_um: float | None
+    held_out_after_um: float | None
     report: bool
 
 
@@ -197,4 +230,6 @@ class TableList(BaseModel):
 
 
 def status_view(status: Status, event: int) -> StatusView:
-    return StatusView.model_validate({**vars(status), "may": sorted(status.may), "event": event}, from_attributes=True)
+    verdict = None if status.verdict is None else VerdictView(**status.verdict.as_json())
+    document = {**vars(status), "may": sorted(status.may), "verdict": verdict, "event": event}
+    return StatusView.model_validate(document, from_attributes=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
 from queue import Queue
 
@@ -56,7 +57,8 @@ class Owner:
         self._running: RunMailbox | None = None
         self._closing = False
         self._reconciled = False
-        self._board.show_idle(self._idle_status())
+        self._reading = False
+        self._board.show_idle(replace(self._idle_status(), active_bank=None))  # not known before it is read
         left = parts.journal_state.unacknowledged_end()
         if left is not None:
             self._board.show_unacknowledged_end(
@@ -64,6 +66,7 @@ class Owner:
                 left.run_id,
                 left.kind,
                 left.alarm,
+                verdict=left.verdict,
                 started=left.started,
                 balls=left.balls,
                 touches=left.touches,
@@ -134,6 +137,7 @@ class Owner:
             self._require(
                 what, "it is allowed between runs, after a reset, while a table is active that was never proved"
             )
+            self._await_reading()
             found = act(self.settings, self._parts.config.parent)
             self._show(found)
             if found.unproved is not None:
@@ -154,10 +158,12 @@ class Owner:
 
     def reset(self) -> None:
         with self._changed:
+            self._await_reading()
             self._require_nothing_runs()
             if self._board.state in allowed_requests.STICKY:
                 self._parts.journal_state.acknowledge(self._board.status().run_id)
             if self._board.state is not RunState.IDLE or self._board.status().alarms:
+                self._reconciled = self._reconciled and not self._board.status().alarms  # its cause may still stand
                 self._board.reset()
             self.reconcile_if_reached()
 
@@ -165,6 +171,12 @@ class Owner:
         self._questions.answer(number, yes)
 
     # ------------------------------------------------------------------ for the service itself
+
+    @property
+    def running_id(self) -> str | None:
+        """Identity of the run in progress."""
+        running = self._running
+        return None if running is None else running.run_id
 
     @property
     def busy(self) -> bool:
@@ -230,6 +242,28 @@ class Owner:
         except VolcalError as error:
             log.warning("compensation in the controller not checked yet", reason=str(error))
 
+    def read_idle(self) -> None:
+        """Ask the devices whether they answer and the controller which compensation is active, unless a run is in
+        progress. A run that is requested meanwhile waits for the end of the reading."""
+        with self._changed:
+            if self._running is not None or self._reading or self._closing:
+                return
+            self._reading = True
+        try:
+            found = self._parts.machine.read(self.settings, self._parts.config.parent, self._board.must_compare)
+        finally:
+            with self._changed:
+                self._reading = False
+                self._changed.notify_all()
+        with self._changed:
+            if self._running is None:
+                self._board.show_reading(found)
+
+    def await_change(self, within_s: float) -> None:
+        """Return at the end of a run, and after `within_s` at the latest."""
+        with self._changed:
+            self._changed.wait(within_s)
+
     # ------------------------------------------------------------------ starting
 
     def _reserve(self) -> RunMailbox:
@@ -238,8 +272,14 @@ class Owner:
                 raise Busy("the service is being stopped", hint="start the service again")
             self._require_nothing_runs()
             self._require_reset()
-            self._running = RunMailbox(new_run_id(), self._parts.health.beat)
-            return self._running
+            self._running = running = RunMailbox(new_run_id(), self._parts.health.beat)
+            self._await_reading()
+            return running
+
+    def _await_reading(self) -> None:
+        """Wait until no reading of the idle machine is in progress; the caller holds the lock, which is released
+        meanwhile."""
+        self._changed.wait_for(lambda: not self._reading)
 
     def _release(self) -> None:
         with self._changed:
@@ -317,9 +357,16 @@ class Owner:
                 self._parts.reports.request(run_id)
 
     def _conclude(self, state: RunState, error: BaseException | None) -> None:
-        idle = self._idle_status()
+        idle, measured = self._idle_status(), self._measured()
         with self._changed:
+            read = self._board.status()
             self._board.show_idle(idle)
+            if measured is not None:
+                self._board.show_measured(*measured)
+            if error is not None:
+                self._board.show_bank(None)
+            elif read.active_bank is not None:
+                self._board.show_bank(read.active_bank)
             self._parts.live_view.end_run()
             if error is not None:
                 self._board.alarm(alarm_of(error))
@@ -337,6 +384,13 @@ class Owner:
         except Exception:  # these figures are for display only: the machine must be released without them
             log.exception("state of the machine between runs unknown")
             return IdleStatus()
+
+    def _measured(self) -> tuple[int, int] | None:
+        try:
+            return self._parts.journal_state.measured(self._board.status().run_id)
+        except VolcalError as error:  # these numbers are for display only
+            log.warning("measured balls of the run not known", error=str(error))
+            return None
 
     def _require(self, what: str, why: str) -> None:
         status = self._board.status()

@@ -19,6 +19,7 @@ from agent.runs.session import RunResult, carry_out
 from agent.service.owner.health import Health
 from agent.service.owner.questions import Questions, ServiceOperator
 from agent.service.owner.unattended import Circumstances
+from agent.service.state.controller_reading import ControllerReading, read_controller, unreachable
 from agent.service.state.event_log import EventLog
 from agent.service.state.journal_state import JournalState
 from agent.service.state.live_view import LiveView
@@ -26,6 +27,7 @@ from agent.service.state.reports import ReportQueue
 from agent.service.state.status_board import StatusBoard
 from agent.settings.schema import ClockSettings, Settings
 from drivers.clock import Clock, RealClock
+from drivers.errors import VolcalError
 from drivers.roles import MachineStatus
 from twin.units import S_PER_MIN
 
@@ -54,6 +56,16 @@ class MachineAccess:
         """
         with self._opened_rig(settings, base) as rig:
             return reconcile(rig, settings.state_directory)
+
+    def read(
+        self, settings: Settings, base: Path, must_compare: Callable[[int, int | None], bool]
+    ) -> ControllerReading:
+        """Ask every device whether it answers, and the store for its compensation; see `read_controller`."""
+        try:
+            with closing_clock(self.devices.make_clock(settings.clock)) as clock:
+                return read_controller(self.devices.assemble(settings, clock, base), settings, must_compare)
+        except VolcalError as error:
+            return unreachable(settings, error.message)
 
     def give_up(self, settings: Settings, base: Path, reason: str) -> Reconciliation:
         """Do the same as `reconcile`, and end the run that can still be resumed."""

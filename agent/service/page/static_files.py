@@ -12,6 +12,7 @@ from fastapi import FastAPI, Request, Response
 from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
 
+from agent.results.run_verdict import verdict_words
 from agent.service.http.app_state import AppState
 from agent.service.page.endpoints import page_router
 
@@ -54,6 +55,10 @@ def mount_document(app: FastAPI, name: str) -> None:
     @app.get("/", include_in_schema=False)
     def page() -> FileResponse:
         return FileResponse(own / name, media_type="text/html")
+
+    @app.get("/assets/verdicts.json", include_in_schema=False)
+    def verdicts() -> dict[str, dict[str, str]]:
+        return verdict_words()
 
     app.mount("/assets", StaticFiles(directory=own))
     app.middleware("http")(_with_policy)

@@ -13,6 +13,8 @@ from agent.errors import JournalFailed
 from agent.execution.journal_reader import ANY_RUN, JournalReader, has_journal, open_journal
 from agent.execution.journal_rows import RunCounts, RunRow, TableRow
 from agent.execution.stored_json import stored_json
+from agent.results.decision_kinds import OUTCOME
+from agent.results.run_verdict import run_figures, verdict_of
 from drivers.errors import InputError
 
 Document = dict[str, Any]
@@ -27,11 +29,13 @@ class UnknownRun(InputError):
 class Archive:
     """Runs, balls, events and tables of the journal in the state directory `directory`.
 
-    `reports` is a function that returns the path of the report of a run; it renders the report if necessary.
+    `reports` is a function that returns the path of the report of a run; it renders the report if necessary. `running`
+    is a function that returns the identity of the run in progress, or None.
     """
 
     directory: Path
     reports: Callable[[str], Path]
+    running: Callable[[], str | None] = lambda: None
 
     def runs(self, limit: int, before: str | None = None) -> list[Document]:
         """Return summaries of at most `limit` runs, the latest first. If `before` is the identity of a run, only
@@ -41,7 +45,7 @@ class Archive:
             return []
         with self._reading() as reader:
             before_run = _run(reader, before).run if before else ANY_RUN
-            return [self._summary(counts) for counts in reader.run_counts(limit, before_run)]
+            return [self._summary(reader, counts) for counts in reader.run_counts(limit, before_run)]
 
     def run(self, run_id: str) -> Document:
         """Return the summary of a run with its request, its gates and its decisions."""
@@ -52,7 +56,7 @@ class Archive:
             decisions = reader.decisions(run)
             asked = reader.events(run, ("asked",), limit=1)
             return {
-                **self._summary(counts),
+                **self._summary(reader, counts),
                 "position_set": settings["procedure"]["position_set"],
                 "asked": asked[0].record if asked else None,
                 "gates": [one.record for one in decisions if one.kind == "gate"],
@@ -112,8 +116,20 @@ class Archive:
     def _reading(self) -> AbstractContextManager[JournalReader]:
         return open_journal(self.directory, JournalFailed)
 
-    def _summary(self, counts: RunCounts) -> Document:
+    def _summary(self, reader: JournalReader, counts: RunCounts) -> Document:
         run = counts.run
+        decision = reader.decision_records(run.run)
+        figures = run_figures(decision)
+        running = run.ended is None and run.run_id == self.running()
+        verdict = verdict_of(
+            run.kind,
+            run.state,
+            ended=run.ended is not None,
+            accepted=figures.accepted,
+            decision=figures.decision,
+            running=running,
+        )
+        outcome = decision(OUTCOME) or {}
         return {
             "run_id": run.run_id,
             "kind": run.kind,
@@ -124,6 +140,12 @@ class Archive:
             "software": run.software,
             "balls": counts.balls,
             "touches": counts.touches,
+            "machine_minutes": outcome.get("machine_minutes"),
+            "verdict": verdict.as_json(),
+            "ve_um": figures.ve_um,
+            "vce_um": figures.vce_um,
+            "held_out_before_um": figures.held_out_before_um,
+            "held_out_after_um": figures.held_out_after_um,
             "report": (self.directory / run.run_id / "report.html").is_file(),
         }
 

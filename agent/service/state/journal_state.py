@@ -6,7 +6,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import structlog
 
 from agent.errors import JournalFailed
@@ -14,7 +13,7 @@ from agent.execution.journal import Journal
 from agent.execution.journal_reader import JournalReader, has_journal, open_journal
 from agent.execution.states import FINAL, RunState
 from agent.planning.job_preparation import prepare_job
-from agent.runs.kinds.drift_check import Judge
+from agent.results.run_verdict import ABORTED, FAULTED, UNFINISHED, RunVerdict, run_figures
 from agent.runs.reconcile import unproved_table
 from agent.runs.reference_state import ACTIVATING_DECISIONS, reference_for
 from agent.runs.unfinished_run import unfinished_run
@@ -39,6 +38,7 @@ class UnacknowledgedEnd:
     run_id: str
     kind: str
     alarm: Alarm
+    verdict: RunVerdict
     started: str
     balls: int
     touches: int
@@ -66,13 +66,22 @@ class JournalState:
         state = RunState(run.state)
         if state in STICKY:
             alarm = Alarm(FAULT_CODE, run.reason or state.value, f"remove the cause, then reset{resumes}")
-            return UnacknowledgedEnd(state, run.run_id, run.kind, alarm, *measured)
+            verdict = ABORTED if state is RunState.ABORTED else FAULTED
+            return UnacknowledgedEnd(state, run.run_id, run.kind, alarm, verdict, *measured)
         if state in FINAL or state is RunState.WRITTEN:
             return None
         text = f"run {run.run_id} was interrupted while {state.value}"
         hint = f"check the machine, since nothing was recorded after that; then reset{resumes}"
         alarm = Alarm(INTERRUPTED_CODE, text, hint)
-        return UnacknowledgedEnd(RunState.FAULTED, run.run_id, run.kind, alarm, *measured)
+        return UnacknowledgedEnd(RunState.FAULTED, run.run_id, run.kind, alarm, UNFINISHED, *measured)
+
+    def measured(self, run_id: str | None) -> tuple[int, int] | None:
+        """Return the numbers of measured balls and of touches of a run; None if the journal does not have it."""
+        if run_id is None or not has_journal(self.directory):
+            return None
+        with open_journal(self.directory, JournalFailed) as reader:
+            run = reader.run(run_id)
+            return None if run is None else (reader.count_balls(run.run), reader.count_touches(run.run))
 
     def acknowledge(self, run_id: str | None) -> None:
         """Record in the journal that the end of a run is acknowledged. Raise JournalFailed if the record cannot be
@@ -120,15 +129,20 @@ def _acknowledged(reader: JournalReader, run: int) -> bool:
 
 
 def _volumetric_errors(settings: Settings, base: Path) -> tuple[float | None, float | None]:
-    """Return the volumetric errors (VE) of the machine without a table and with the table active since, as estimated on
-    the last accepted night.
+    """Return the volumetric errors in µm of the machine without a table (VE) and with the active one (VCE), as the runs
+    themselves state them: VE of the last accepted run, VCE of the latest run since then that states one.
 
-    They are in µm, after the best-fitting rigid motion is removed. Both are None if there is no accepted night.
+    Both are None if there is no accepted run. VCE is also None if another table than the accepted one is active.
     """
-    job = prepare_job(settings, base)
-    last = reference_for(job)
+    last = reference_for(prepare_job(settings, base))
     if last is None:
         return None, None
-    judge, known = Judge(job, last, 0.0), last.estimate
-    bare = judge.residual_with_table.of(known.z, known.z_covariance, np.zeros_like(last.table.written))
-    return bare.aligned_um, judge.before_um
+    with open_journal(settings.state_directory, JournalFailed) as reader:
+        accepted = reader.require_run(last.run_id)
+        active = reader.last_active_table(ACTIVATING_DECISIONS)
+        ve_um = run_figures(reader.decision_records(accepted.run)).ve_um
+        if active is None or (active.crc32 or 0) != last.table.crc32:
+            return ve_um, None
+        since = (row for row in reader.latest_begun_runs() if row.run >= accepted.run)
+        stated = (run_figures(reader.decision_records(row.run)).vce_um for row in since)
+        return ve_um, next((vce_um for vce_um in stated if vce_um is not None), None)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -14,14 +15,16 @@ from agent.execution.run_state import Announcement
 from agent.execution.states import PACKML, RunState
 from agent.execution.steps import ActivateBank, ReadActiveBank, ReadTemperatures, Record, Step, TouchTowards
 from agent.results.run_outcome import Outcome
-from agent.runs.reconcile_result import Reconciliation
+from agent.results.run_verdict import RunVerdict, verdict_of
+from agent.runs.reconcile_result import CompensationState, Reconciliation
 from agent.runs.run_request import Source
 from agent.runs.unproved_table import UnprovedTable
 from agent.service.alarms import alarm_of
 from agent.service.allowed_requests import AT_REST, allowed_in
 from agent.service.control import Alarm, Question, Status
+from agent.service.state.controller_reading import ControllerReading
 from agent.service.state.event_log import EventLog
-from drivers.clock import utc_timestamp
+from drivers.clock import RealClock, utc_timestamp
 from drivers.errors import StoreError
 
 log = structlog.get_logger()
@@ -41,9 +44,11 @@ _STATES: dict[RunState, str] = {
     S.COMPLETE: "complete",
     S.REFUSED: "refused; the machine is unchanged",
     S.ABORTING: "stopping, withdrawing, restoring the previous table",
-    S.ABORTED: "aborted; the previous table is active",
+    S.ABORTED: "aborted",
     S.FAULTED: "fault; waiting for a reset",
 }
+_UNEXPECTED = (CompensationState.CHANGED, CompensationState.LOST, CompensationState.UNPROVED)
+"""States in which the active compensation is not the one whose volumetric error is known."""
 _KEY = re.compile(
     r"(?P<phase>[\w-]+)(/station-(?P<station>\d+))?(/az(?P<az>-?[\d.]+)-el(?P<el>-?[\d.]+))?(/ball-(?P<ball>\d+))?"
 )
@@ -73,6 +78,9 @@ class StatusBoard:
 
     machine: str
     event_log: EventLog
+    now: Callable[[], float] = field(default_factory=lambda: RealClock().now)
+    _read_at_s: float | None = None
+    _unexpected: bool = False
     _status: Status = field(init=False)
 
     def __post_init__(self) -> None:
@@ -88,7 +96,10 @@ class StatusBoard:
         question_open, unfinished = now.question is not None, now.unfinished is not None
         unproved = now.unproved is not None
         may = allowed_in(now.state, unfinished=unfinished, question_open=question_open, unproved=unproved)
-        return replace(now, may=may)
+        read_at_s, at_rest = self._read_at_s, now.state in AT_REST
+        age_s = None if read_at_s is None or not at_rest else max(self.now() - read_at_s, 0.0)
+        known = now.active_bank is not None and not self._unexpected
+        return replace(now, may=may, read_age_s=age_s, ve_now_um=now.ve_now_um if known or not at_rest else None)
 
     # ------------------------------------------------------------------ between runs
 
@@ -99,17 +110,51 @@ class StatusBoard:
     def show_idle(self, idle: IdleStatus) -> None:
         self._change(**vars(idle))
 
+    def show_measured(self, balls: int, touches: int) -> None:
+        """Show the numbers of balls and touches that the journal has of the run that has ended."""
+        self._change(balls=balls, touches=touches)
+
+    def show_bank(self, bank: int | None, problem: str = "") -> None:
+        """Show the bank that was just seen to be active. If `bank` is None, it is not known; `problem` says why."""
+        if bank is not None:
+            self._read_at_s = self.now()
+        self._change(active_bank=bank, read_problem=problem)
+
+    def must_compare(self, active: int, waiting: int | None) -> bool:
+        """Return True if the banks that were read are not those shown, so that they must be compared with the
+        journal."""
+        shown = self._status
+        return (shown.active_bank, shown.written_not_active) != (active, waiting)
+
+    def show_reading(self, reading: ControllerReading) -> None:
+        """Show what the devices said between two runs."""
+        self._change(links=reading.links)
+        if reading.compared is not None:
+            self.show_reconciliation(reading.compared)
+        elif reading.active_bank is None or self._status.active_bank is not None:
+            self.show_bank(reading.active_bank, reading.problem)
+
     def show_unacknowledged_end(
-        self, state: RunState, run_id: str, kind: str, alarm: Alarm, *, started: str, balls: int, touches: int
+        self,
+        state: RunState,
+        run_id: str,
+        kind: str,
+        alarm: Alarm,
+        *,
+        verdict: RunVerdict,
+        started: str,
+        balls: int,
+        touches: int,
     ) -> None:
         """Show the final state of a run that ended before the service was last started and that no reset has
         acknowledged."""
         self._change(run_id=run_id, kind=kind, alarms=(alarm,), started=started, balls=balls, touches=touches)
+        self._change(verdict=verdict)
         self.enter(state, alarm.text)
 
     def reset(self) -> None:
         self._change(alarms=(), fraction=0.0, minutes_left=None, step="", run_id=None, kind=None, started=None)
-        self._change(balls=0, touches=0)
+        self._change(balls=0, touches=0, verdict=None)
         self.enter(RunState.IDLE, "reset")
 
     def show_reconciliation(self, result: Reconciliation) -> None:
@@ -119,11 +164,12 @@ class StatusBoard:
         told = () if former is None else tuple(a for a in self._status.alarms if a.text.startswith(former.situation))
         self._change(
             alarms=tuple(alarm for alarm in self._status.alarms if alarm not in told),
-            active_bank=result.active_bank,
             written_not_active=result.waiting_bank,
             unproved=result.unproved,
             unfinished=unfinished.run_id if unfinished is not None and unfinished.resumable else None,
         )
+        self._unexpected = result.state in _UNEXPECTED
+        self.show_bank(result.active_bank)
         self.event_log.publish("note", result.text, {"found": result.state.value, "done": result.action.value})
         log.info("reconciled", text=result.text)
         if result.instruction:
@@ -144,8 +190,11 @@ class StatusBoard:
             minutes_left=None,
             balls=0,
             touches=0,
+            verdict=None,
+            read_problem="",
             alarms=(),
         )
+        self._unexpected = False
         self.enter(RunState.PREFLIGHT, f"{kind} requested by {source}")
 
     def on_announcement(self, announcement: Announcement) -> None:
@@ -190,7 +239,8 @@ class StatusBoard:
         log.info("question", open=question is not None, text=text)
 
     def show_outcome(self, outcome: Outcome) -> None:
-        self._change(active_bank=outcome.table_bank, minutes_left=None)
+        self._change(minutes_left=None, verdict=outcome.verdict)
+        self.show_bank(outcome.table_bank)
         self.event_log.publish("outcome", outcome.reason or outcome.state.value, outcome.as_json())
 
     def alarm(self, alarm: Alarm) -> None:
@@ -202,8 +252,10 @@ class StatusBoard:
         log.error(alarm.text, **data)
 
     def enter(self, state: RunState, text: str) -> None:
-        former = self._status.state
-        self._change(state=state, packml=PACKML[state])
+        former, verdict = self._status.state, self._status.verdict
+        if verdict is None and state in AT_REST - {S.IDLE}:  # the run has ended without an outcome
+            verdict = verdict_of(self._status.kind or "", state.value, ended=True, accepted=None, decision=None)
+        self._change(state=state, packml=PACKML[state], verdict=verdict)
         self.event_log.publish("state", text, {"state": state.value, "packml": PACKML[state]})
         log.info("state", state=state.value, former=former.value, text=text)
 
@@ -233,6 +285,10 @@ def _doing_now(status: Status) -> str:
     if status.unproved is not None and status.state in AT_REST:
         words = "not ready" if status.state is S.IDLE else _STATES[status.state].split(";")[0]
         return f"{words}: unproved table active (bank {status.unproved.bank})"
+    if status.verdict is not None and status.state in AT_REST:
+        return status.verdict.sentence["en"]
+    if status.state is S.IDLE and (status.alarms or status.unfinished is not None):
+        return "not ready: an alarm is open" if status.alarms else f"run {status.unfinished} is unfinished"
     return doing(status.state, status.step, status.kind)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
@@ -28,6 +28,7 @@ from agent.service.owner.health import Health
 from agent.service.owner.owner import Owner
 from agent.service.owner.owner_parts import MachineAccess, OwnerParts
 from agent.service.owner.unattended import Circumstances
+from agent.service.state.controller_reading import ControllerReading
 from agent.service.state.event_log import EventLog
 from agent.service.state.journal_state import JournalState
 from agent.service.state.reports import ReportQueue
@@ -60,12 +61,14 @@ def settings_document(state: Path, **sections: Any) -> dict[str, Any]:
 @dataclasses.dataclass(frozen=True)
 class AbsentMachine(MachineAccess):
     """`status`: what the machine says where it is asked; `away`: what it answers next when asked for its compensation;
-    `asked`: whether it was reached; `found`: what the next comparisons find."""
+    `asked`: whether it was reached; `found`: what the next comparisons find; `readings`: what the next readings
+    between runs find."""
 
     status: MachineStatus = READY_MACHINE
     away: list[VolcalError] = dataclasses.field(default_factory=list)
     asked: list[str] = dataclasses.field(default_factory=list)
     found: list[Reconciliation] = dataclasses.field(default_factory=list)
+    readings: list[ControllerReading] = dataclasses.field(default_factory=list)
 
     def machine_status(self, settings: Settings, base: Path) -> MachineStatus:
         return self.status
@@ -77,6 +80,15 @@ class AbsentMachine(MachineAccess):
         if self.found:
             return self.found.pop(0)
         return Reconciliation(CompensationState.UNKNOWN, ReconcileAction.NOTHING, 0)
+
+    def read(
+        self, settings: Settings, base: Path, must_compare: Callable[[int, int | None], bool]
+    ) -> ControllerReading:
+        self.asked.append("read")
+        reading = self.readings.pop(0) if self.readings else ControllerReading((), problem="not asked")
+        if reading.active_bank is not None and must_compare(reading.active_bank, reading.waiting_bank):
+            return dataclasses.replace(reading, compared=self.reconcile(settings, base))
+        return reading
 
     def give_up(self, settings: Settings, base: Path, reason: str) -> Reconciliation:
         self.asked.append(reason)

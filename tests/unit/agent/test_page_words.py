@@ -13,6 +13,7 @@ from agent.execution.states import RunState
 from agent.planning.new_machine.field import SetupField
 from agent.planning.new_machine.fields import FIELDS, SETUP_FIELDS, catalogue
 from agent.results.gates import GATE_RULES
+from agent.results.run_verdict import verdict_words
 from agent.runs.kinds.restoration import TABLE_ROLES
 from agent.runs.run_kinds import KINDS
 from agent.runs.run_request import SOURCES
@@ -25,7 +26,8 @@ CATALOGUES = [
     json.loads((ASSETS / name).read_text(encoding="utf-8")) for name in ("messages.json", "setup-messages.json")
 ]
 FIELD_WORDS = catalogue()
-MESSAGES: dict[str, dict[str, str]] = {**CATALOGUES[0], **CATALOGUES[1], **FIELD_WORDS}
+VERDICT_WORDS = verdict_words()
+MESSAGES: dict[str, dict[str, str]] = {**CATALOGUES[0], **CATALOGUES[1], **FIELD_WORDS, **VERDICT_WORDS}
 LANGUAGES = {"en", "de"}
 
 KEY = re.compile(r'"([a-z]+\.[\w.]+)"')
@@ -33,7 +35,7 @@ BUILT = re.compile(r"`([a-z]+\.(?:[a-z]+_)?)\$\{")
 NAMED = re.compile(r'data-(?:text|label)="([^"]+)"')
 PLACE = re.compile(r"\{(\w+)\}")
 WORDS = re.compile(r'"[^"\n]*[A-Za-z]{3,} [a-z]{2,} [a-z]{2,}[^"\n]*"')
-NO_KEYS = {"volcal.language", "volcal.theme", "volcal.token"}
+NO_KEYS = {"verdicts.json", "volcal.language", "volcal.theme", "volcal.token"}
 
 
 def used() -> set[str]:
@@ -68,7 +70,7 @@ def test_each_message_that_is_used_exists_and_each_that_exists_is_used() -> None
 
 
 def test_no_message_stands_in_two_catalogues() -> None:
-    assert len(MESSAGES) == len(CATALOGUES[0]) + len(CATALOGUES[1]) + len(FIELD_WORDS)
+    assert len(MESSAGES) == len(CATALOGUES[0]) + len(CATALOGUES[1]) + len(FIELD_WORDS) + len(VERDICT_WORDS)
 
 
 @pytest.mark.parametrize("field", SETUP_FIELDS, ids=lambda field: field.name)

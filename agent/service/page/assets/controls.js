@@ -3,13 +3,14 @@ import { askStart, askToken, showKeys } from "./dialogs.js";
 import { byId } from "./dom.js";
 import { say } from "./language.js";
 import { ask, dropReading, read, Refused, token } from "./requests.js";
-import { showDone, showProblem } from "./notices.js";
+import { showDone, showProblem, showSent, showWarning } from "./notices.js";
 import { on, refresh } from "./store.js";
 
 const KEYS = [
   ["A", "request.abort"], ["S", "request.start"], ["H", "request.hold"], ["R", "request.resume"], ["Q", "request.reset"],
   ["1", "view.operator"], ["2", "view.engineer"], ["?", "keys.show"], ["Tab", "keys.tab"], ["← → ↑ ↓ + −", "keys.scene"],
 ];
+const UNCONFIRMED_MS = 800;
 const PRESSED = { a: "abort", s: "start", h: "hold", r: "resume", q: "reset", 1: "tab-operator", 2: "tab-engineer", "?": "keys" };
 
 export function openControls() {
@@ -35,29 +36,36 @@ function offer({ may }) {
   byId("resume-run").hidden = !can("resume_run");
 }
 
-/* Abort needs one press, no confirmation and no token; nothing else waits for its response. */
+/* Abort needs one press, no confirmation and no token; nothing else waits for its response. A service that hangs does
+   not answer at all: then the emergency stop is the only way left, and the page says so without waiting for an error. */
 async function abort() {
   dropReading();
+  showSent("abort.sent");
+  const silent = setTimeout(() => showWarning("abort.unconfirmed"), UNCONFIRMED_MS);
   try {
     await ask("/api/abort", { reason: say("abort.reason") }, { withToken: false });
     showDone("done.abort");
   } catch (error) {
-    showProblem(error);
+    if (!(error instanceof Refused)) throw error;
+    showWarning("abort.unconfirmed");
+  } finally {
+    clearTimeout(silent);
   }
 }
 
 async function begin() {
   try {
     const wanted = await askStart(await read("/api/machine"));
-    if (wanted) await request("/api/start", wanted, "done.start");
+    if (wanted) await request("/api/start", wanted, "done.start", "start.sent");
   } catch (error) {
     showProblem(error);
   }
 }
 
 /* Sends a command with the token, and asks for the token if it is missing or wrong. */
-export async function request(path, body, done) {
+export async function request(path, body, done, sent = null) {
   if (!token() && !(await askToken())) return false;
+  if (sent) showSent(sent);
   try {
     await ask(path, body);
     showDone(done);
@@ -66,7 +74,7 @@ export async function request(path, body, done) {
   } catch (error) {
     showProblem(error);
     if (error instanceof Refused && [401, 403].includes(error.problem.status)) {
-      if (await askToken(say("token.wrong"))) return request(path, body, done);
+      if (await askToken(say("token.wrong"))) return request(path, body, done, sent);
     }
     return false;
   }

@@ -2,7 +2,7 @@
 import { byId } from "./dom.js";
 import { languageNow, languages, number, onLanguage, say, speak, translate } from "./language.js";
 import { on, seen } from "./store.js";
-import { LOOKS, stateWord } from "./wording.js";
+import { lookOf, stateWord, verdictWord } from "./wording.js";
 
 const VIEWS = ["operator", "engineer"];
 
@@ -26,6 +26,8 @@ export function openFrame(opened) {
   onLanguage(words);
   on("status", showState);
   on("stale", showSilence);
+  const footer = document.querySelector(".controls");
+  new ResizeObserver(() => document.documentElement.style.setProperty("--footer", `${footer.offsetHeight}px`)).observe(footer);
 }
 
 const other = () => languages().find((language) => language !== languageNow()) ?? languageNow();
@@ -39,13 +41,17 @@ function choose(view, opened) {
   opened(view);
 }
 
-function showState({ machine, state }) {
+function showState(status) {
+  const { machine, state, verdict, unfinished, alarms } = status;
   byId("machine").textContent = machine;
   const badge = byId("state");
-  badge.dataset.look = LOOKS[state] ?? "quiet";
+  badge.dataset.look = lookOf(status);
+  badge.dataset.verdict = verdict ? verdict.name : "";
   badge.dataset.state = state;
-  badge.querySelector(".word").textContent = stateWord(state);
-  document.title = `${stateWord(state)} – ${machine}`;
+  const left = state === "idle" && (unfinished !== null || alarms.length);
+  const word = verdict ? verdictWord(verdict) : left ? say("unproved.not_ready") : stateWord(state);
+  badge.querySelector(".word").textContent = word;
+  document.title = `${word} – ${machine}`;
 }
 
 function showSilence(stale) {

@@ -6,7 +6,7 @@ import { openOperator } from "./operator.js";
 import { follow } from "./store.js";
 import { openTheme } from "./theme.js";
 
-await loadWords();
+await loadWords("verdicts.json");
 openTheme();
 openFrame((view) => (view === "engineer" ? enterEngineer() : leaveEngineer()));
 openControls();

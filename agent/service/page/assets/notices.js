@@ -11,6 +11,12 @@ export function showDone(key) {
   timer = setTimeout(hide, SHOWN_MS);
 }
 
+/* Sign that a request is on its way; it stays until the answer replaces it. */
+export const showSent = (key) => show("sent", say(key), "");
+
+/* Warning that stays until the next notice. */
+export const showWarning = (key) => show("problem", say(key), "");
+
 /* Shows a refusal; `nodes` makes the elements of its text. */
 export function showProblem(error, nodes = (text) => [text]) {
   if (!(error instanceof Refused)) throw error;

@@ -2,16 +2,18 @@
 import { request } from "./controls.js";
 import { byId, make } from "./dom.js";
 import { inEnglish, known, number, onLanguage, say, timeOfDay } from "./language.js";
+import { micrometres } from "./parts.js";
 import { openResiduals } from "./residuals.js";
+import { openResult } from "./result-card.js";
 import { openScene } from "./scene.js";
 import { on, seen } from "./store.js";
-import { doing, eventText } from "./wording.js";
+import { AT_REST, doing, eventText } from "./wording.js";
 
-const RECENT = 4;
+const RECENT = 4, MINUTE_S = 60;
 
 const FACTS = [
-  ["fact.ve_before", ({ ve_before_um }) => withUnit(ve_before_um, "µm")],
-  ["fact.ve_now", ({ ve_now_um }) => withUnit(ve_now_um, "µm")],
+  ["fact.ve_before", ({ ve_before_um }) => micrometres(ve_before_um)],
+  ["fact.ve_now", ({ ve_now_um }) => micrometres(ve_now_um)],
   ["fact.balls", ({ balls }) => number(balls, 0)],
   ["fact.bank", bankText],
 ];
@@ -23,12 +25,14 @@ export function openOperator() {
   const track = make("div", { className: "track", role: "progressbar" }, bar);
   const percent = make("span"), left = make("span", { id: "minutes-left" });
   const cards = make("div", { id: "cards" });
-  const facts = make("dl", { className: "facts" });
+  const facts = make("dl", { className: "facts", id: "tiles" });
   const stage = make("div", { className: "stage" }), residuals = make("section", { className: "residuals" });
   const recent = make("ul", { className: "recent", id: "recent" });
   const progress = make("div", { className: "progress" }, track, make("div", { className: "figures" }, percent, left));
-  view.replaceChildren(stage, make("div", { className: "side" }, cards, words, progress, facts, residuals, recent));
-  const show = () => seen.status && render(seen.status, { words, bar, track, percent, left, cards, facts });
+  const result = make("div", { id: "result-place" }), links = make("ul", { className: "links", id: "links" });
+  const above = make("div", { className: "now" }, words, progress);
+  view.replaceChildren(stage, make("div", { className: "side" }, above, cards, facts, links, result, residuals, recent));
+  const show = () => seen.status && render(seen.status, { words, progress, bar, track, percent, left, cards, facts, links });
   const showRecent = () => recent.replaceChildren(...seen.events.slice(0, RECENT).map(eventLine));
   on("status", show);
   on("event", showRecent);
@@ -36,24 +40,29 @@ export function openOperator() {
   onLanguage(showRecent);
   openScene(stage);
   openResiduals(residuals);
+  openResult(result);
 }
 
 function render(status, parts) {
   const now = doing(status);
   if (parts.words.textContent !== now) parts.words.textContent = now;
-  const share = status.state === "complete" ? 100 : Math.round(100 * status.fraction);
+  const share = Math.round(100 * status.fraction);
+  parts.progress.hidden = AT_REST.has(status.state);
   parts.bar.style.width = `${share}%`;
   parts.track.setAttribute("aria-valuenow", share);
   parts.track.setAttribute("aria-label", say("progress.name"));
   parts.percent.textContent = status.run_id ? `${number(share, 0)} %` : "";
   parts.left.textContent = status.minutes_left === null ? "" : say("progress.left", { minutes: number(status.minutes_left, 0) });
   parts.facts.replaceChildren(...FACTS.map(([name, text]) => make("div", {}, make("dt", {}, say(name)), make("dd", {}, text(status)))));
+  parts.links.ariaLabel = say("link.title");
+  parts.links.replaceChildren(...status.links.map(linkMark));
   const cards = [
     ...(status.question ? [questionCard(status.question)] : []),
     ...(status.unproved ? [unprovedCard(status)] : []),
     ...alarmsBeside(status).map(alarmCard),
+    ...(status.unfinished !== null && status.unproved === null && AT_REST.has(status.state) ? [unfinishedCard(status)] : []),
   ];
-  const shown = JSON.stringify([status.question, status.unproved, status.may, status.alarms, document.documentElement.lang]);
+  const shown = JSON.stringify([status.question, status.unfinished, status.state, status.unproved, status.may, status.alarms, document.documentElement.lang]);
   if (parts.cards.dataset.shown === shown) return;
   parts.cards.dataset.shown = shown;
   parts.cards.replaceChildren(...cards);
@@ -87,6 +96,12 @@ function placementLines({ azimuth_deg: azimuth, elevation_deg: elevation, balls,
     make("ul", {}, ...balls.map(place)),
     make("p", {}, say("question.place.then", { ball: balls.length ? balls[0].ball : "" })),
   ];
+}
+
+function unfinishedCard({ unfinished: run, may }) {
+  return make("section", { className: "card waiting", id: "unfinished" },
+    make("h3", {}, say("unfinished.title")), make("p", {}, say("unfinished.text", { run })),
+    make("p", { className: "hint" }, say(may.includes("resume_run") ? "unfinished.do" : "unfinished.reset")));
 }
 
 /* Ways out of an unproved table in the order in which they are tried; each has its button once it is allowed. */
@@ -133,10 +148,17 @@ function alarmCard({ code, text, hint, where }) {
 const lettersOf = (text) => text.toLowerCase().replaceAll(/\W+/g, "");
 const sameWords = (one, other) => lettersOf(one) === lettersOf(other);
 
-const withUnit = (value, unit) => (value === null ? "–" : `${number(value, 1)} ${unit}`);
+/* What the controller was last seen to apply, with the age of that reading; never a guess. */
+function bankText({ active_bank: bank, written_not_active: waiting, read_age_s: age, read_problem: problem }) {
+  const known = bank === null ? say("bank.unknown") : bank === 0 ? say("bank.none") : say("bank.number", { bank });
+  const told = waiting === null ? known : say("bank.waiting", { bank: waiting });
+  return make("span", {}, told, age === null ? null : make("small", { className: "age", title: problem }, ageText(age)));
+}
 
-function bankText({ active_bank: bank, written_not_active: waiting }) {
-  if (waiting !== null) return say("bank.waiting", { bank: waiting });
-  if (bank === null) return "–";
-  return bank === 0 ? say("bank.none") : say("bank.number", { bank });
+const ageText = (age) => (age < MINUTE_S ? say("age.seconds", { seconds: number(Math.floor(age), 0) }) : say("age.minutes", { minutes: number(Math.floor(age / MINUTE_S), 0) }));
+
+function linkMark({ device, ok, problem }) {
+  const mark = make("li", { title: ok ? say("link.ok") : problem }, make("span", { className: "shape", ariaHidden: "true" }), `${device}: ${say(ok ? "link.ok" : "link.lost")}`);
+  mark.dataset.look = ok ? "done" : "fault";
+  return mark;
 }

@@ -1,6 +1,7 @@
 /* Elements shared by the sections of the engineer view. */
 import { make } from "./dom.js";
-import { instant, known, say } from "./language.js";
+import { instant, known, number, say } from "./language.js";
+import { verdictWord } from "./wording.js";
 
 export function table(heads, rows, kind = "") {
   return make("div", { className: "scroll" }, make("table", { className: `data ${kind}` },
@@ -26,4 +27,8 @@ export const wordOr = (prefix, value) => (known(`${prefix}.${value}`) ? say(`${p
 /* Status of a table as a coloured mark: staged, active and accepted are always distinguishable. */
 export const mark = (kind) => make("span", { className: `mark ${kind}` }, say(`table.${kind}`));
 
-export const runName = ({ kind, started, state }) => `${instant(started)} · ${wordOr("kind", kind)} · ${wordOr("state", state.replaceAll(/[ ,]+/g, "_"))}`;
+export const runName = ({ kind, started, verdict }) => `${instant(started)} · ${wordOr("kind", kind)} · ${verdict.sign} ${verdictWord(verdict)}`;
+
+/* Figures of a run, the same in the list of runs and in the card of its end. */
+export const micrometres = (value) => (value === null || value === undefined ? "–" : say("unit.um", { value: number(value, 2) }));
+export const beforeAfter = (before, after) => (before === null ? "–" : after === null ? micrometres(before) : `${number(before, 2)} → ${micrometres(after)}`);

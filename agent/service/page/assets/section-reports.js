@@ -2,21 +2,22 @@
 import { askToken } from "./dialogs.js";
 import { make } from "./dom.js";
 import { instant, number, say } from "./language.js";
-import { heading, remark, table, wordOr } from "./parts.js";
+import { beforeAfter, heading, micrometres, remark, table, wordOr } from "./parts.js";
 import { fetchFile, Refused, token } from "./requests.js";
 import { showProblem } from "./notices.js";
-import { stateWord } from "./wording.js";
+import { verdictMark } from "./wording.js";
 
 export const ofRun = false;
 
 export async function parts({ runs }) {
-  const list = runs.length ? table(["reports.run", "reports.kind", "reports.state", "reports.balls", "reports.report"].map((key) => say(key)), runs.map(row)) : remark("section.no_run");
+  const list = runs.length ? table(["reports.run", "reports.kind", "reports.state", "fact.ve_before", "fact.ve_now", "fact.held_out", "fact.balls", "fact.minutes", "reports.report"].map((key) => say(key)), runs.map(row)) : remark("section.no_run");
   return [heading("reports.title"), make("div", { className: "acts" }, make("button", { id: "diagnostics", onclick: diagnostics }, say("reports.diagnostics"))), remark("reports.diagnostics_is"), list];
 }
 
-function row({ run_id, kind, started, state, reason, balls, ended }) {
+function row({ run_id, kind, started, verdict, reason, balls, ended, ve_um, vce_um, held_out_before_um, held_out_after_um, machine_minutes }) {
   const link = (form) => make("a", { className: "button", href: `/api/page/runs/${encodeURIComponent(run_id)}/report.${form}`, download: "" }, say(`reports.${form}`));
-  return [instant(started), wordOr("kind", kind), make("span", { title: reason ?? "" }, stateWord(state)), number(balls, 0),
+  return [instant(started), wordOr("kind", kind), make("span", { title: reason ?? "" }, verdictMark(verdict)), micrometres(ve_um), micrometres(vce_um),
+    beforeAfter(held_out_before_um, held_out_after_um), number(balls, 0), number(machine_minutes, 1),
     make("span", { className: "acts" }, ...(ended ? [link("html"), link("pdf")] : [say("reports.going_on")]))];
 }
 

@@ -1,4 +1,5 @@
 /* Plain-text status of the machine from its state and the key of the step. */
+import { make } from "./dom.js";
 import { number, say } from "./language.js";
 
 const MOVING = new Set(["measuring", "verifying", "held"]);
@@ -13,13 +14,39 @@ export const LOOKS = {
 const named = (state) => state.replaceAll(/[ ,]+/g, "_");
 export const stateWord = (state) => say(`state.${named(state)}`);
 
-const AT_REST = new Set(["idle", "complete", "refused", "written, not active", "aborted", "faulted"]);
+/* Verdict on a run, from the one table of the service, as a coloured sign with its word; the sentence is its title. */
+export const verdictWord = ({ name }) => say(`verdict.${name}`);
+export function verdictMark(verdict) {
+  const sign = make("span", { className: "sign", ariaHidden: "true" }, verdict.sign);
+  const mark = make("span", { className: "verdict", title: say(`verdict.${verdict.name}.is`) }, sign, " ", verdictWord(verdict));
+  mark.dataset.look = verdict.look;
+  mark.dataset.verdict = verdict.name;
+  return mark;
+}
 
-export function doing({ state, step, unproved }) {
+export const AT_REST = new Set(["idle", "complete", "refused", "written, not active", "aborted", "faulted"]);
+
+/* An idle machine is ready only if nothing is left to be dealt with. */
+function idleWords({ unfinished, alarms }) {
+  if (alarms.length) return say("doing.idle_alarm");
+  return say(unfinished === null ? "doing.idle" : "doing.idle_unfinished");
+}
+
+/* The look of the badge: idle is quiet only if nothing is left to be dealt with. */
+export function lookOf({ state, verdict, unfinished, alarms }) {
+  if (verdict) return verdict.look;
+  if (state === "idle" && alarms.length) return "fault";
+  return state === "idle" && unfinished !== null ? "held" : LOOKS[state] ?? "quiet";
+}
+
+export function doing(status) {
+  const { state, step, unproved, verdict } = status;
   if (unproved && AT_REST.has(state)) {
     const word = state === "idle" ? say("unproved.not_ready") : stateWord(state);
     return say("doing.unproved", { state: word, bank: unproved.bank });
   }
+  if (verdict && AT_REST.has(state)) return say(`verdict.${verdict.name}.is`);
+  if (state === "idle") return idleWords(status);
   const words = say(`doing.${named(state)}`);
   const where = MOVING.has(state) ? stepWords(step) : "";
   return where ? `${words}: ${where}` : words;
@@ -37,7 +64,7 @@ export function eventText({ kind, text, data }) {
   if (kind === "state") return stateWord(data.state);
   if (kind === "lost") return say("event.lost", { place: stepWords(text) });
   if (kind === "alarm") return say("event.alarm", { code: data.code });
-  if (kind === "outcome") return stateWord(data.state);
+  if (kind === "outcome") return data.verdict ? verdictWord(data.verdict) : stateWord(data.state);
   return text;
 }
 

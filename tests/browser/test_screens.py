@@ -1,0 +1,222 @@
+"""Every state on every screen, measured: ABORT is whole and in view, the state stays at the top, nothing scrolls
+sideways; and what the page says while the service does not answer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from panel_pages import at_rest, opened, with_token
+from playwright.sync_api import Browser, Page, Route, ViewportSize, expect
+from service_process import Service
+
+from agent.execution.states import PACKML, RunState
+from agent.results.run_verdict import VERDICTS
+from agent.runs.unproved_table import UnprovedTable
+from agent.service.allowed_requests import AT_REST, allowed_in
+
+MEASURES = (Path(__file__).parent / "measures.js").read_text()
+NO_EVENTS = "retry: 3600000\n\n"
+SCREENS = ((390, 844), (800, 480), (768, 1024), (1280, 800), (1920, 1080))
+SECTIONS = 9
+RUN = "20261128T010000Z-abcd"
+ALARM = {
+    "code": 431,
+    "text": "ball 3 of station 2 has moved by 0.412 mm during the interruption, at most 0.050 mm are allowed",
+    "hint": "check the clamping of artefact and mount; resume the run: the position is measured again",
+    "where": {"device": "cnc", "step": "station-2/az090-el045/ball-03/touch-2"},
+}
+TABLE = UnprovedTable(RUN, 2, 1, provable=True)
+QUESTION = {"number": 3, "text": "carry the artefact", "station": 2, "placement": None}
+LINKS = [{"device": "cnc", "ok": True, "problem": ""}, {"device": "mount", "ok": False, "problem": "no answer"}]
+
+
+def views() -> Iterator[tuple[str, dict[str, Any]]]:
+    """Status of every state, of every end of a run, and with all that may be open."""
+    for state in RunState:
+        yield state.value, status(state)
+    for verdict in VERDICTS:
+        yield verdict.name, {**status(RunState.COMPLETE), "verdict": verdict.as_json()}
+    yield "question", {**status(RunState.HELD), "question": QUESTION}
+    yield "alarms", {**status(RunState.FAULTED, unfinished=True), "alarms": [ALARM, ALARM, ALARM]}
+    yield "unfinished", {**status(RunState.IDLE, unfinished=True), "active_bank": None, "read_problem": "no answer"}
+    unproved = {**vars(TABLE), "situation": TABLE.situation, "way_out": TABLE.way_out}
+    may = sorted(allowed_in(RunState.WRITTEN, unfinished=True, question_open=False, unproved=True))
+    yield "unproved", {**status(RunState.WRITTEN, unfinished=True), "unproved": unproved, "may": may}
+
+
+def status(state: RunState, *, unfinished: bool = False) -> dict[str, Any]:
+    may = allowed_in(state, unfinished=unfinished, question_open=False)
+    return {
+        "state": state.value,
+        "packml": PACKML[state],
+        "may": sorted(may),
+        "kind": "calibrate",
+        "run_id": None if state is RunState.IDLE else RUN,
+        "step": "station-4/az270-el-45/ball-12/touch-2",
+        "fraction": 0.4,
+        "minutes_left": None if state in AT_REST else 31.0,
+        "balls": 264,
+        "ve_before_um": 31.63,
+        "ve_now_um": 10.84,
+        "active_bank": 2,
+        "read_age_s": 3599.0,
+        "links": LINKS,
+        "unfinished": RUN if unfinished else None,
+        "alarms": [ALARM] if state in (RunState.FAULTED, RunState.ABORTED) else [],
+        "event": 10**6,
+    }
+
+
+@contextmanager
+def told(chromium: Browser, house: Service, locale: str = "en") -> Iterator[tuple[Page, dict[str, Any]]]:
+    """Page whose service states what the test puts into the yielded document."""
+    at_rest(house)
+    said: dict[str, Any] = {}
+
+    def answer(route: Route) -> None:
+        response = route.fetch()
+        route.fulfill(response=response, json={**response.json(), **said})
+
+    for page in opened(chromium, house, locale=locale):
+        with_token(page, house)
+        page.route("**/api/status", answer)
+        # the stream begins with the status of the service itself
+        page.route("**/api/events", lambda route: route.fulfill(content_type="text/event-stream", body=NO_EVENTS))
+        page.reload()
+        expect(page.locator("#doing")).not_to_be_empty()
+        yield page, said
+        page.unroute_all(behavior="ignoreErrors")  # the page asks for the status until it is closed
+
+
+def edges(page: Page, selector: str) -> tuple[float, float]:
+    """Upper and lower edge of the element in px."""
+    box = page.locator(selector).bounding_box()
+    assert box is not None
+    return box["y"], box["y"] + box["height"]
+
+
+def in_view(page: Page, selector: str) -> list[str]:
+    """What is wrong with the place of the element; see `outOfView` in measures.js."""
+    found: list[str] = page.evaluate("selector => outOfView(document.querySelector(selector))", selector)
+    return found
+
+
+@pytest.mark.parametrize("locale", ["en", "de"])
+def test_abort_is_whole_and_the_state_in_view_in_every_state_on_every_screen(
+    chromium: Browser, house: Service, locale: str
+) -> None:
+    with told(chromium, house, locale) as (page, said):
+        page.evaluate(MEASURES)
+        for name, document in views():
+            said.clear()
+            said.update(document)
+            with page.expect_response("**/api/status"):
+                pass  # the next one, which the page asks for by itself
+            expect(page.locator("#state")).to_have_attribute("data-state", document["state"])
+            verdict = document.get("verdict")
+            expect(page.locator("#state")).to_have_attribute("data-verdict", verdict["name"] if verdict else "")
+            for width, height in SCREENS:
+                page.set_viewport_size(ViewportSize(width=width, height=height))
+                where = f"{name} at {width} × {height}"
+                assert in_view(page, "#abort") == [], where
+                assert page.evaluate("misplaced()") == [], where
+                (top, bottom), (footer, _) = edges(page, "#doing"), edges(page, ".controls")
+                assert 0 <= top < bottom <= footer, where
+
+
+@pytest.mark.parametrize("locale", ["en", "de"])
+def test_the_start_dialog_has_its_buttons_in_view_on_every_screen(
+    chromium: Browser, house: Service, locale: str
+) -> None:
+    with told(chromium, house, locale) as (page, _):
+        page.evaluate(MEASURES)
+        for width, height in SCREENS:
+            page.set_viewport_size(ViewportSize(width=width, height=height))
+            page.click("#start")
+            expect(page.locator("dialog button[type=submit]")).to_be_visible()
+            for selector in ("dialog button[type=submit]", "dialog .actions button[type=button]", "#abort"):
+                assert in_view(page, selector) == [], (width, height, selector)
+            assert page.evaluate(
+                "(({ scrollWidth, clientWidth }) => scrollWidth <= clientWidth)(document.querySelector('dialog'))"
+            )
+            page.keyboard.press("Escape")
+            expect(page.locator("dialog")).to_be_hidden()
+
+
+def test_every_section_fits_a_phone_and_a_small_panel(chromium: Browser, house: Service) -> None:
+    for page in opened(chromium, house):
+        page.evaluate(MEASURES)
+        page.click("#tab-engineer")
+        expect(page.locator("#sections button")).to_have_count(SECTIONS)
+        for number in range(SECTIONS):
+            section = page.locator("#sections button").nth(number)
+            section.click()
+            expect(section).to_have_attribute("aria-current", "page")
+            expect(page.locator("#content[aria-busy]")).to_have_count(0)
+            for width, height in SCREENS[:3]:
+                page.set_viewport_size(ViewportSize(width=width, height=height))
+                assert in_view(page, "#abort") == []
+                assert page.evaluate("misplaced()") == [], (section.inner_text(), width)
+
+
+def test_an_idle_machine_with_something_left_is_not_called_ready(chromium: Browser, house: Service) -> None:
+    with told(chromium, house) as (page, said):
+        said.update(status(RunState.IDLE))
+        expect(page.locator("#doing")).to_have_text("Ready to start")
+        said.update(status(RunState.IDLE, unfinished=True))
+        expect(page.locator("#doing")).to_have_text("Not moving: a run is unfinished")
+        expect(page.locator("#state .word")).to_have_text("Not ready")
+        expect(page.locator("#unfinished")).to_contain_text(RUN)
+        said.update({**status(RunState.IDLE), "alarms": [ALARM]})
+        expect(page.locator("#doing")).to_have_text("Not ready: an alarm is open")
+        expect(page.locator("#state")).to_have_attribute("data-look", "fault")
+
+
+def test_what_cannot_be_read_is_not_known_on_the_page(chromium: Browser, house: Service) -> None:
+    with told(chromium, house) as (page, said):
+        said.update(status(RunState.IDLE))
+        expect(page.locator("#tiles")).to_contain_text("bank 2 active")
+        expect(page.locator("#tiles")).to_contain_text("read 59 min ago")
+        expect(page.locator("#links [data-look=fault]")).to_have_text("mount: no answer")
+        said.update({"active_bank": None, "ve_now_um": None, "read_problem": "no answer", "read_age_s": 42.0})
+        expect(page.locator("#tiles")).to_contain_text("not known")
+        expect(page.locator("#tiles")).to_contain_text("read 42 s ago")
+        expect(page.locator("#tiles dd").nth(1)).to_have_text("–")
+
+
+def test_an_abort_that_is_not_answered_says_within_a_second_that_the_emergency_stop_is_the_way(
+    chromium: Browser, house: Service
+) -> None:
+    """By the page's own clock, which the test moves."""
+    with told(chromium, house) as (page, said):
+        said.update(status(RunState.MEASURING))
+        expect(page.locator("#state")).to_have_attribute("data-state", "measuring")
+        silent: list[Route] = []
+        page.route("**/api/abort", lambda route: silent.append(route))  # noqa: PLW0108  Playwright needs a function
+        page.clock.install()
+        page.clock.pause_at(page.evaluate("Date.now() + 1000"))
+        with page.expect_request("**/api/abort"):
+            page.click("#abort")
+        expect(page.locator("#said")).to_have_text("Abort sent …")
+        page.clock.run_for(999)
+        expect(page.locator("#said")).to_contain_text("ABORT IS NOT CONFIRMED")
+        expect(page.locator("#said")).to_contain_text("emergency stop")
+        silent[0].fulfill(json={"taken": True})
+        expect(page.locator("#said")).to_have_text("Abort requested.")
+
+
+def test_a_start_gives_a_sign_before_the_service_answers(chromium: Browser, house: Service) -> None:
+    with told(chromium, house) as (page, _):
+        waiting: list[Route] = []
+        page.route("**/api/start", lambda route: waiting.append(route))  # noqa: PLW0108  Playwright needs a function
+        page.click("#start")
+        page.check("input[name=consent]")
+        with page.expect_request("**/api/start"):
+            page.click("dialog button[type=submit]")
+        expect(page.locator("#said")).to_have_text("Start requested …")
+        waiting[0].fulfill(json={"run_id": RUN}, status=202)
+        expect(page.locator("#said")).to_have_text("Run started.")

@@ -1,0 +1,216 @@
+"""What is displayed between runs was read from the controller, or is not known."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from service_house import PATIENCE_S, House, house
+
+from agent.execution.journal import Journal
+from agent.execution.rig import Rig
+from agent.execution.states import RunState
+from agent.runs.reconcile import reconcile
+from agent.runs.reconcile_result import CompensationState, ReconcileAction, Reconciliation
+from agent.runs.run_request import RunRequest
+from agent.service.control import LinkState
+from agent.service.state.controller_reading import ControllerReading, read_controller
+from agent.service.state.event_log import EventLog
+from agent.service.state.status_board import IdleStatus, StatusBoard
+from drivers.clock import VirtualClock
+from drivers.errors import LinkLost, VolcalError
+from drivers.roles import TableImage
+
+LINKS = (LinkState("cnc"), LinkState("mount", "no answer"))
+
+
+def board(clock: VirtualClock) -> StatusBoard:
+    return StatusBoard("case-study", EventLog(), clock.now)
+
+
+def compared(state: CompensationState, bank: int) -> Reconciliation:
+    instruction = "" if state is CompensationState.AS_EXPECTED else "look at the controller"
+    return Reconciliation(state, ReconcileAction.NOTHING, bank, instruction=instruction)
+
+
+def test_what_was_read_is_shown_with_its_age() -> None:
+    clock = VirtualClock()
+    shown = board(clock)
+    shown.show_idle(IdleStatus(ve_before_um=30.0, ve_now_um=10.0))
+    assert (shown.status().active_bank, shown.status().read_age_s, shown.status().ve_now_um) == (None, None, None)
+    expected = compared(CompensationState.AS_EXPECTED, 1)
+    shown.show_reading(ControllerReading(LINKS, 1, compared=expected))
+    clock.sleep(7.0)
+    now = shown.status()
+    assert (now.active_bank, now.read_age_s, now.ve_now_um, now.links) == (1, 7.0, 10.0, LINKS)
+
+
+def test_what_cannot_be_read_is_not_known() -> None:
+    clock = VirtualClock()
+    shown = board(clock)
+    shown.show_idle(IdleStatus(ve_before_um=30.0, ve_now_um=10.0))
+    shown.show_reading(ControllerReading(LINKS, 1, compared=compared(CompensationState.AS_EXPECTED, 1)))
+    clock.sleep(10.0)
+    shown.show_reading(ControllerReading(LINKS, problem="connection refused"))
+    now = shown.status()
+    assert (now.active_bank, now.ve_now_um, now.ve_before_um) == (None, None, 30.0)
+    assert (now.read_problem, now.read_age_s) == ("connection refused", 10.0)
+    assert shown.must_compare(1, None)  # it may be another table by the time that it answers again
+    shown.show_reading(ControllerReading(LINKS, 1, compared=compared(CompensationState.AS_EXPECTED, 1)))
+    assert (shown.status().active_bank, shown.status().read_problem, shown.status().ve_now_um) == (1, "", 10.0)
+
+
+def test_a_controller_that_has_lost_its_table_is_an_alarm_once_and_its_accuracy_is_not_known() -> None:
+    shown = board(VirtualClock())
+    shown.show_idle(IdleStatus(ve_before_um=30.0, ve_now_um=10.0))
+    shown.show_reading(ControllerReading(LINKS, 1, compared=compared(CompensationState.AS_EXPECTED, 1)))
+    assert shown.must_compare(0, None)
+    shown.show_reading(ControllerReading(LINKS, 0, compared=compared(CompensationState.LOST, 0)))
+    assert not shown.must_compare(0, None)
+    shown.show_reading(ControllerReading(LINKS, 0))
+    now = shown.status()
+    assert (now.active_bank, now.ve_now_um) == (0, None)
+    assert [alarm.code for alarm in now.alarms] == [360]
+
+
+def test_the_machine_is_read_between_runs_and_never_during_one(tmp_path: Path) -> None:
+    with house(tmp_path) as built:
+        built.machine.found.append(compared(CompensationState.AS_EXPECTED, 2))
+        built.machine.readings.append(ControllerReading(LINKS, 2))
+        built.owner.read_idle()
+        assert (built.owner.status().active_bank, built.owner.status().links) == (2, LINKS)
+        started(built)
+        asked = list(built.machine.asked)
+        built.owner.read_idle()
+        assert built.machine.asked == asked
+        built.puppet.end(RunState.FAULTED, LinkLost("gone"))
+        assert built.owner.wait(PATIENCE_S)
+        assert built.owner.status().active_bank is None
+
+
+def started(built: House) -> None:
+    built.owner.start(RunRequest(kind="calibrate", source="page", consent=True))
+    built.puppet.begun()
+
+
+class SlowMachine:
+    """Reading of a machine that answers when the test lets it."""
+
+    def __init__(self) -> None:
+        self.begun, self.answer = threading.Event(), threading.Event()
+
+    def read(self, *_: object) -> ControllerReading:
+        self.begun.set()
+        assert self.answer.wait(PATIENCE_S)
+        return ControllerReading(LINKS, problem="late")
+
+
+def test_a_run_waits_for_a_reading_in_progress_and_its_result_is_dropped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with house(tmp_path) as built:
+        slow = SlowMachine()
+        monkeypatch.setattr(type(built.machine), "read", slow.read)
+        reading = threading.Thread(target=built.owner.read_idle)
+        reading.start()
+        assert slow.begun.wait(PATIENCE_S)
+        starting = threading.Thread(target=started, args=(built,))
+        starting.start()
+        while not built.owner.busy:  # the run is reserved, and waits
+            built.owner.await_change(0.01)
+        assert built.puppet.started == []
+        slow.answer.set()
+        reading.join(PATIENCE_S)
+        starting.join(PATIENCE_S)
+        assert len(built.puppet.started) == 1
+        assert built.owner.status().read_problem == ""
+
+
+class Device:
+    def __init__(self, error: VolcalError | None = None) -> None:
+        self.error, self.log = error, list[str]()
+
+    def open(self) -> None:
+        self.log.append("open")
+        if self.error is not None:
+            raise self.error
+
+    def close(self) -> None:
+        self.log.append("close")
+
+
+def read(store: Any, **devices: Device) -> ControllerReading:
+    cnc = dict.fromkeys(("machine", "probe", "store", "thermometer"), "cnc")
+    roles = SimpleNamespace(**cnc, operator="console")
+    rig = cast(Rig, SimpleNamespace(devices=devices, store=store))
+    settings = cast(Any, SimpleNamespace(roles=roles, state_directory=Path()))
+    return read_controller(rig, settings, lambda *_: False)
+
+
+def test_each_device_says_for_itself_whether_it_answers() -> None:
+    cnc, mount = Device(), Device(LinkLost("refused"))
+    found = read(
+        SimpleNamespace(active_bank=lambda: 2, pending_bank=lambda: None), cnc=cnc, mount=mount, console=Device()
+    )
+    assert found == ControllerReading((LinkState("cnc"), LinkState("mount", "refused")), 2)
+    assert (cnc.log, mount.log) == (["open", "close"], ["open"])
+
+
+def test_a_store_that_fails_in_mid_reading_leaves_nothing_known() -> None:
+    def lost() -> int:
+        raise LinkLost("gone")
+
+    cnc = Device()
+    found = read(SimpleNamespace(active_bank=lambda: 2, pending_bank=lost), cnc=cnc)
+    assert found == ControllerReading((LinkState("cnc", "gone"),), problem="gone")
+    assert cnc.log == ["open", "close"]
+
+
+class Store:
+    """Controller with two banks, of which any may be active."""
+
+    def __init__(self, active: int, **banks: TableImage) -> None:
+        self.active, self.banks = active, {int(name[-1]): image for name, image in banks.items()}
+
+    def active_bank(self) -> int:
+        return self.active
+
+    def pending_bank(self) -> None:
+        return None
+
+    def read_table(self, bank: int) -> TableImage | None:
+        return self.banks.get(bank)
+
+
+def table(value: int) -> TableImage:
+    return TableImage((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1e-4, np.full((2, 2, 2, 3), value, dtype=np.int32))
+
+
+@pytest.mark.parametrize(
+    ("store", "state", "words"),
+    [
+        (Store(1, bank1=table(1)), CompensationState.AS_EXPECTED, ""),
+        (Store(0, bank1=table(1)), CompensationState.LOST, "bank 1 still holds its table"),
+        (Store(0), CompensationState.LOST, "bank 1 no longer holds its table"),
+        (Store(1, bank1=table(2)), CompensationState.CHANGED, "find out who changed it"),
+        (Store(2, bank1=table(1), bank2=table(3)), CompensationState.CHANGED, "find out who changed it"),
+    ],
+)
+def test_a_power_loss_is_told_apart_from_a_change_by_a_person(
+    tmp_path: Path, store: Store, state: CompensationState, words: str
+) -> None:
+    journal = Journal(tmp_path)
+    run = journal.start_run("20261101T020000Z-0000", "calibrate", {}, "1.2.3", VirtualClock())
+    run.table("backup", 0, None)
+    run.table("staged", 1, table(1))
+    run.decision("accepted", {})
+    run.state(RunState.COMPLETE, "", final=True)
+    journal.close()
+    found = reconcile(cast(Rig, SimpleNamespace(store=store)), tmp_path, restore=False)
+    assert (found.state, found.active_bank) == (state, store.active)
+    assert words in found.instruction
+    assert bool(found.instruction) is (state is not CompensationState.AS_EXPECTED)
