@@ -17,6 +17,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import fields
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from itertools import count
 from time import process_time
 from typing import Any
@@ -60,7 +61,7 @@ def main() -> None:
         f"{runs} runs: first reading {first:.2f} s, after one more run {after_one:.2f} s, "
         f"with nothing new {unchanged:.3f} s"
     )
-    few, many = (min(seconds(lambda length=length: steps_of(length)) for _ in range(9)) for length in (runs // 4, runs))
+    few, many = (min(seconds(partial(steps_of, length)) for _ in range(9)) for length in (runs // 4, runs))
     print(f"search for steps: {1e3 * many:.1f} ms for {runs} nights; ratio to a quarter of them: {many / few:.1f}")
 
 
