@@ -301,10 +301,20 @@ def with_free_stations(
         if _rank(other, goal) >= _rank(found, goal):
             break
         best = replace(best, design=other)
-    found = best.result
     if best is not choice and not best.variant.made_up:
-        best = replace(best, design=_proved(found, goal, verify=verify, prove=prove, say=say))
+        best = _proved_if_better(best, choice, goal, verify=verify, prove=prove, say=say)
     return best, best.result.problem.job.layout.locations_mm
+
+
+def _proved_if_better(
+    moved: VariantDesign, choice: VariantDesign, goal: Goal, *, verify: bool, prove: Prove, say: Say
+) -> VariantDesign:
+    """Return the proved design of `moved`, or `choice` if its preflight leaves none that is better than `choice`."""
+    try:
+        proved = _proved(moved.result, goal, verify=verify, prove=prove, say=say)
+    except (UserError, PlanRefused):
+        return choice
+    return replace(moved, design=proved) if _rank(proved, goal) < _rank(choice.result, goal) else choice
 
 
 def _better_places(found: DesignResult) -> Mapping[int, Array]:
