@@ -5,10 +5,10 @@
 Each night is a whole run with probe check, qualification, measuring, identification, staging, activation and
 verification on a simulated machine, with the table of an earlier run (the former table) active. One fault of the
 controller, the cell, the computer or the wire begins at a random instant with a random size. Fifty nights have one
-machine and share the time before their faults: the process is forked at each of them. One night in 25 has a real Modbus
-TCP link with a proxy that disturbs it. In a third of the nights a second fault begins: while the run ends because of
-the first one, or in the resumed run. In the morning the faults are removed. Volcal is started again, or its run is
-resumed, or given up; a resumed run is judged as the night was.
+machine and share the time before their faults: the process is forked at each of them. One night in 12 has a real link
+(Modbus TCP, Modbus RTU or CAN) with a proxy that disturbs it. In a third of the nights a second fault begins: while the
+run ends because of the first one, or in the resumed run. In the morning the faults are removed. Volcal is started
+again, or its run is resumed, or given up; a resumed run is judged as the night was.
 
 A night that violates an invariant is printed, one JSON object a line, with its seed and number; `--only NIGHT` plays it
 again in this process and prints its whole record. The exit code is 0 only if no invariant is violated.
