@@ -1,9 +1,8 @@
 """Trends of many runs: read from the history database for the first time, after one more run, and with nothing new.
 
 The runs are synthetic: the parameters of the case study drift and scatter from night to night. They are stored in a
-SQLite database in a temporary directory, and the trends of all series are fitted, in one thread. Times are of the
-processor. The last line compares
-the search for steps (sudden changes) with that for a quarter of the runs: its work grows in proportion to the runs.
+SQLite database in a temporary directory, and the trends of all series are fitted, in one thread. Times are those of the
+processor. The last line compares the search for steps (sudden changes) with that for a quarter of the runs.
 """
 
 from __future__ import annotations

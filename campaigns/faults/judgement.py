@@ -74,6 +74,7 @@ def record_run(run: EndedRun, night: PlannedNight) -> NightRecord:
     kinds = [KINDS[kind] for _, kind in injector.begun]
     named = [kind.reasons for kind in kinds]
     cleared = all(KINDS[kind].cleared for kind in injector.kinds)
+    on_virtual_clock = not any(KINDS[kind].link for kind in injector.kinds)  # a starved computer disturbs a real link
     at_step = " ".join(part for part in (night.key, "after" if night.after else "") if part)
     return NightRecord(
         seed=night.seed,
@@ -85,7 +86,7 @@ def record_run(run: EndedRun, night: PlannedNight) -> NightRecord:
         size="; ".join([*injector.sizes, *([at_step] if at_step else [])]),
         resumed=injector.runs - 1,
         must_resume=cleared and bool(injector.acknowledged),
-        must_end_well=cleared and injector.runs > 1 and not injector.begun,
+        must_end_well=cleared and on_virtual_clock and injector.runs > 1 and not injector.begun,
         collisions=tuple(f"{one.body_a} with {one.body_b} at {one.time_s:.2f} s" for one in scene.world.collisions),
         stopped_s=scene.stopped_s,
         stands_from_s=device.moved_until_s,
