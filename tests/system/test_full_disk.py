@@ -13,7 +13,7 @@ from service_process import short_settings, simulator
 from simulated import COMMAND, PATIENCE_S
 
 
-@pytest.mark.parametrize("size", ["150k", "900k"], ids=["before-the-motion", "while-measuring"])
+@pytest.mark.parametrize("size", ["200k", "900k"], ids=["before-the-motion", "while-measuring"])
 def test_a_full_disk_is_a_faulted_run_with_its_first_cause(tmp_path: Path, size: str) -> None:
     state = tmp_path / "state"
     state.mkdir()
