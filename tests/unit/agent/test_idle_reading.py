@@ -130,6 +130,36 @@ def test_a_run_waits_for_a_reading_in_progress_and_its_result_is_dropped(
         assert built.owner.status().read_problem == ""
 
 
+def test_the_comparison_at_the_start_of_the_service_waits_for_a_reading_in_progress(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two connections to the controller at a time would disturb each other."""
+    with house(tmp_path) as built:
+        slow, waits = SlowMachine(), threading.Event()
+        monkeypatch.setattr(type(built.machine), "read", slow.read)
+        await_reading = built.owner._await_reading
+
+        def awaited() -> None:
+            waits.set()
+            await_reading()
+            assert slow.answer.is_set()
+
+        monkeypatch.setattr(built.owner, "_await_reading", awaited)
+        reading = threading.Thread(target=built.owner.read_idle)
+        reading.start()
+        assert slow.begun.wait(PATIENCE_S)
+        asked = list(built.machine.asked)
+        comparing = threading.Thread(target=built.owner.reconcile_if_reached)
+        comparing.start()
+        waited = waits.wait(PATIENCE_S)
+        during = list(built.machine.asked)
+        slow.answer.set()
+        reading.join(PATIENCE_S)
+        comparing.join(PATIENCE_S)
+        assert (waited, during) == (True, asked)
+        assert len(built.machine.asked) == len(asked) + 1
+
+
 class Device:
     def __init__(self, error: VolcalError | None = None) -> None:
         self.error, self.log = error, list[str]()
