@@ -72,6 +72,8 @@ def test_a_controller_that_has_lost_its_table_is_an_alarm_once_and_its_accuracy_
     shown.show_reading(ControllerReading(LINKS, 0, compared=compared(CompensationState.LOST, 0)))
     assert not shown.must_compare(0, None)
     shown.show_reading(ControllerReading(LINKS, 0))
+    shown.show_reading(ControllerReading(LINKS, problem="no answer"))
+    shown.show_reading(ControllerReading(LINKS, 0, compared=compared(CompensationState.LOST, 0)))
     now = shown.status()
     assert (now.active_bank, now.ve_now_um) == (0, None)
     assert [alarm.code for alarm in now.alarms] == [360]
