@@ -198,7 +198,7 @@ def test_an_abort_that_is_not_answered_says_within_a_second_that_the_emergency_s
         silent: list[Route] = []
         page.route("**/api/abort", lambda route: silent.append(route))  # noqa: PLW0108  Playwright needs a function
         page.clock.install()
-        page.clock.pause_at(page.evaluate("Date.now() + 1000"))
+        page.clock.pause_at(page.evaluate("Date.now() + 30000"))
         with page.expect_request("**/api/abort"):
             page.click("#abort")
         expect(page.locator("#said")).to_have_text("Abort sent …")

@@ -133,11 +133,11 @@ class Owner:
     def _settle(self, what: str, act: Callable[[Settings, Path], Reconciliation]) -> None:
         """Carry out a way out of an unproved table that needs no run. Raise StoreError if the table is still active."""
         with self._changed:
+            self._await_reading()  # first, since it releases the lock
             self._require_nothing_runs()
             self._require(
                 what, "it is allowed between runs, after a reset, while a table is active that was never proved"
             )
-            self._await_reading()
             found = act(self.settings, self._parts.config.parent)
             self._show(found)
             if found.unproved is not None:
@@ -232,13 +232,17 @@ class Owner:
         self._board.show_reconciliation(found)
 
     def reconcile_if_reached(self) -> None:
-        """Call `reconcile`, and log any error instead of raising it.
+        """Call `reconcile` unless a run is in progress, and log any error instead of raising it. The idle machine is
+        not read meanwhile.
 
         The error is not raised because the machine may still be off, and because the next run calls `reconcile` first
         anyway.
         """
         try:
-            self.reconcile()
+            with self._changed:
+                self._await_reading()
+                if self._running is None:
+                    self.reconcile()
         except VolcalError as error:
             log.warning("compensation in the controller not checked yet", reason=str(error))
 

@@ -175,7 +175,9 @@ class StatusBoard:
         if result.instruction:
             refused = f": {result.refused}" if result.refused else ""
             situation = result.state.value if result.unproved is None else result.unproved.situation
-            self.alarm(alarm_of(StoreError(f"{situation}{refused}", hint=result.instruction)))
+            alarm = alarm_of(StoreError(f"{situation}{refused}", hint=result.instruction))
+            if alarm not in self._status.alarms:  # after each interruption of the link, the comparison is made again
+                self.alarm(alarm)
 
     # ------------------------------------------------------------------ a run
 

@@ -72,6 +72,8 @@ def test_a_controller_that_has_lost_its_table_is_an_alarm_once_and_its_accuracy_
     shown.show_reading(ControllerReading(LINKS, 0, compared=compared(CompensationState.LOST, 0)))
     assert not shown.must_compare(0, None)
     shown.show_reading(ControllerReading(LINKS, 0))
+    shown.show_reading(ControllerReading(LINKS, problem="no answer"))
+    shown.show_reading(ControllerReading(LINKS, 0, compared=compared(CompensationState.LOST, 0)))
     now = shown.status()
     assert (now.active_bank, now.ve_now_um) == (0, None)
     assert [alarm.code for alarm in now.alarms] == [360]
@@ -128,6 +130,36 @@ def test_a_run_waits_for_a_reading_in_progress_and_its_result_is_dropped(
         starting.join(PATIENCE_S)
         assert len(built.puppet.started) == 1
         assert built.owner.status().read_problem == ""
+
+
+def test_the_comparison_at_the_start_of_the_service_waits_for_a_reading_in_progress(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two connections to the controller at a time would disturb each other."""
+    with house(tmp_path) as built:
+        slow, waits = SlowMachine(), threading.Event()
+        monkeypatch.setattr(type(built.machine), "read", slow.read)
+        await_reading = built.owner._await_reading
+
+        def awaited() -> None:
+            waits.set()
+            await_reading()
+            assert slow.answer.is_set()
+
+        monkeypatch.setattr(built.owner, "_await_reading", awaited)
+        reading = threading.Thread(target=built.owner.read_idle)
+        reading.start()
+        assert slow.begun.wait(PATIENCE_S)
+        asked = list(built.machine.asked)
+        comparing = threading.Thread(target=built.owner.reconcile_if_reached)
+        comparing.start()
+        waited = waits.wait(PATIENCE_S)
+        during = list(built.machine.asked)
+        slow.answer.set()
+        reading.join(PATIENCE_S)
+        comparing.join(PATIENCE_S)
+        assert (waited, during) == (True, asked)
+        assert len(built.machine.asked) == len(asked) + 1
 
 
 class Device:
