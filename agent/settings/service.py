@@ -17,8 +17,8 @@ class ServiceSettings(StrictModel):
     """Settings of the service. `host` is the listening address; any address except loopback requires a certificate.
 
     An unattended start is permitted only within `hours` (local time, for example 22:00-05:30). This computer must also
-    have been on for at least `warm_up_minutes`. Between runs, the devices are asked once per `idle_read_period_s`; 0
-    switches this off.
+    have been on for at least `warm_up_minutes`. If `idle_read_period_s` is not 0, the devices are opened and asked once
+    per this period between runs, with all that a driver does when it opens its device.
     """
 
     host: str = "127.0.0.1"
@@ -33,7 +33,7 @@ class ServiceSettings(StrictModel):
     hang_timeout_s: float = Field(default=30.0, ge=5.0, le=600.0)
     computation_timeout_minutes: PositiveFloat = Field(default=15.0, le=240.0)
     stop_timeout_s: float = Field(default=60.0, ge=5.0, le=600.0)
-    idle_read_period_s: float = Field(default=10.0, ge=0.0, le=3600.0)
+    idle_read_period_s: float = Field(default=0.0, ge=0.0, le=3600.0)
 
     @property
     def loopback(self) -> bool:

@@ -38,7 +38,7 @@ def unreachable(settings: Settings, problem: str) -> ControllerReading:
 
 def read_controller(rig: Rig, settings: Settings, must_compare: Callable[[int, int | None], bool]) -> ControllerReading:
     """Open each device of `rig` in turn, read the compensation from the store, and close the device again. Nothing
-    moves and nothing is written.
+    is measured and no table is written, but a driver does what it does whenever it opens its device.
 
     `must_compare` returns True if the active and the waiting bank are to be compared with the journal.
     """
