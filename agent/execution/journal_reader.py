@@ -67,7 +67,7 @@ def has_journal(directory: Path) -> bool:
 def _is_to_be_rolled_back(error: sqlite3.Error) -> bool:
     """Return True if reading has failed because the creation of the database was interrupted, and only a writer can
     roll it back. Later the database has a write-ahead log, which readers recover themselves."""
-    return error.sqlite_errorname == "SQLITE_READONLY_ROLLBACK"
+    return getattr(error, "sqlite_errorname", None) == "SQLITE_READONLY_ROLLBACK"  # Python's own errors have no name
 
 
 @contextmanager

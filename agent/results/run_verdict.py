@@ -243,7 +243,9 @@ def verdict_of(
         return FULL_NEEDED if decision == "full calibration needed" else REFUSED
     if accepted is not None:
         return ACCEPTED if accepted else PROOF_FAILED
-    return (RESTORED if kind == "restore" else MEASURED) if decision is None else _BY_DECISION[decision]
+    if decision is None:
+        return RESTORED if kind == "restore" else MEASURED
+    return _BY_DECISION.get(decision, MEASURED)  # a word that another version of volcal has written
 
 
 @dataclass(frozen=True)

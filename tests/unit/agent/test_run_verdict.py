@@ -173,3 +173,7 @@ def test_each_verdict_has_its_words_in_both_languages(verdict: RunVerdict) -> No
 def test_names_and_words_are_distinct() -> None:
     named = [(one.name, one.word["en"], one.word["de"]) for one in VERDICTS]
     assert [len(set(texts)) for texts in zip(*named, strict=True)] == [len(VERDICTS)] * 3
+
+
+def test_a_decision_in_words_of_another_version_is_a_measurement() -> None:
+    assert verdict_of("nightly", "complete", ended=True, accepted=None, decision="weighed").name == "measured"
