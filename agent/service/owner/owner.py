@@ -367,8 +367,8 @@ class Owner:
             self._board.show_idle(idle)
             if measured is not None:
                 self._board.show_measured(*measured)
-            if error is not None:
-                self._board.show_bank(None)
+            if state in allowed_requests.STICKY:
+                self._board.show_bank(None)  # a link may be lost, or the bank be changed since it was read
             elif read.active_bank is not None:
                 self._board.show_bank(read.active_bank)
             self._parts.live_view.end_run()
