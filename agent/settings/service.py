@@ -51,6 +51,15 @@ class ServiceSettings(StrictModel):
         return "http" if self.certificate_file is None else "https"
 
     @model_validator(mode="after")
+    def _idle_period_is_off_or_a_second(self) -> Self:
+        if 0.0 < self.idle_read_period_s < 1.0:
+            raise ValueError(
+                f"service.idle_read_period_s must be 0 (off) or at least 1 s, found {self.idle_read_period_s:g}: the "
+                "devices would be opened all the time"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _open_only_with_a_certificate(self) -> Self:
         if self.host != "localhost":
             try:

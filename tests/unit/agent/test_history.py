@@ -20,6 +20,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from volcal_command import volcal
 
 from agent.cli.main import main
+from agent.execution.journal import Journal
 from agent.execution.run_record import read_record, run_ids
 from agent.execution.states import RunState
 from agent.history.cached_trends import CachedTrends
@@ -34,6 +35,7 @@ from agent.history.sync import sync, sync_ends
 from agent.history.trends import AlarmKind, trend_of
 from agent.settings.history import HistorySettings
 from agent.settings.schema import Settings
+from drivers.clock import VirtualClock
 from drivers.errors import ConfigurationError, InputError, LinkLost
 
 ROLES = ("machine", "probe", "store", "thermometer", "operator", "mount")
@@ -128,6 +130,19 @@ class TestFeeding:
         changed = sync_ends(state, store)
         assert changed
         assert {run.run_id for run in store.runs() if run.reason == "mended"} == set(changed)
+
+    def test_what_was_added_to_a_run_after_its_end_is_stored_too(self, state: Path, store: HistoryStore) -> None:
+        """The next start takes back a table that was never proved: a decision of the run that had ended."""
+        journaled(state, 0)
+        journaled(state, 1)
+        sync_ends(state, store)
+        journal = Journal(state)
+        aside = journal.continue_run(1, run_id(0), VirtualClock())[0].aside()
+        aside.decision("restore/activated", {"bank": 1})
+        journal.close()
+        assert sync_ends(state, store) == (run_id(0),)
+        assert [decision.kind for decision in next(iter(store.runs())).decisions][-1] == "restore/activated"
+        assert sync_ends(state, store) == ()
 
     def test_runs_without_what_belongs_to_them(self, state: Path, store: HistoryStore) -> None:
         journaled(state, 0)
