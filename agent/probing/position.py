@@ -165,6 +165,7 @@ class _Measuring:
         self._conditions = conditions
         self._consistency = rules.consistency
         self._repeats_first = rules.repeat_first_ball
+        self._search = rules.probing.narrow_search
         self.last_mm = task.predicted_mm[task.balls[0]]
         self.found: list[MeasuredBall] = []
         self.again: MeasuredBall | None = None
@@ -189,7 +190,9 @@ class _Measuring:
         """Measure one ball. It is recorded in the journal at once, unless it can be checked only together with the
         other balls of the position."""
         key = self._key(ball)
-        result = yield from self._approach_and_measure(key, ball, predicted, search or self._probing.narrow_search)
+        result = yield from self._approach_and_measure(key, ball, predicted, search or self._search)
+        if search is None:
+            self._search = self._search_after(result, predicted)
         if isinstance(result, LostBall):
             yield from self._lose(ball, result.reason)
             return result
@@ -198,6 +201,16 @@ class _Measuring:
         if self._consistency is None:
             yield Record(f"{key}/centre", "ball", measured.record(key))
         return result
+
+    def _search_after(self, result: FittedBall | LostBall, predicted: Array) -> Search:
+        """Return the search for the ball after this one. If this ball was lost or is not where the balls before place
+        it, the artefact may have been moved, and with it the next ball: that one is located first."""
+        probing = self._probing
+        as_expected = (
+            isinstance(result, FittedBall)
+            and float(np.linalg.norm(result.centre_mm - predicted)) <= probing.recentre_mm
+        )
+        return probing.narrow_search if as_expected else probing.locating_search
 
     def check_consistency(self, first: int, found_first: FittedBall) -> Plan[FittedBall]:
         """Measure the balls that do not fit the others once more, and give those up that still do not fit. Return the
@@ -215,7 +228,7 @@ class _Measuring:
             yield Record(f"{key}/reason", "event", {"ball": one.ball, "reason": one.text, "then": "repeat the ball"})
             place = [ball.ball for ball in self.found].index(one.ball)
             result = yield from self._approach_and_measure(
-                key, one.ball, self.found[place].found.centre_mm, self._probing.narrow_search
+                key, one.ball, self.found[place].found.centre_mm, self._search
             )
             if isinstance(result, LostBall):
                 del self.found[place]
@@ -249,7 +262,7 @@ class _Measuring:
         if not self._repeats_first or all(ball.ball != first for ball in self.found):
             return np.full(3, np.nan)
         key = f"{self._key(first)}/again"
-        again = yield from self._approach_and_measure(key, first, found.centre_mm, self._probing.narrow_search)
+        again = yield from self._approach_and_measure(key, first, found.centre_mm, self._search)
         if isinstance(again, LostBall):
             yield Record(f"{key}/lost", "event", {"ball": first, "reason": again.reason})
             return np.full(3, np.nan)
