@@ -23,8 +23,8 @@ from agent.probing.paths.retreat import Retreat
 from agent.probing.probing_parameters import ProbingParameters, Search
 from agent.probing.station_change import StationChange
 from agent.thermal.position_drift import DriftLimits, judge_drift
-from agent.thermal.readings import Conditions, read_conditions
-from agent.thermal.settling import SettlingRules, wait_until_settled
+from agent.thermal.readings import Conditions
+from agent.thermal.settling import SettlingRules, read_conditions, wait_until_settled
 from twin.arrays import Array
 from twin.artefact.pose_alignment import align_to_end_balls, align_to_third_ball
 from twin.artefact.position_set import Position
@@ -272,9 +272,7 @@ class _Measuring:
         return drift
 
     def _measured(self, key: str, ball: int, found: FittedBall) -> Plan[MeasuredBall]:
-        conditions = yield from read_conditions(key, self._settling.thermometers)
-        self._settling.require_no_jump(key, self._conditions, conditions)
-        self._conditions = conditions
+        self._conditions = conditions = yield from read_conditions(key, self._settling, self._conditions)
         task = self._task
         return MeasuredBall(task.index, task.station, task.azimuth_deg, task.elevation_deg, ball, found, conditions)
 
