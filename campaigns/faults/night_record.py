@@ -8,6 +8,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from agent.results.run_outcome import Decision
+
 FINAL_STATES = ("complete", "refused", "aborted", "faulted", "written, not active")
 ENDED_EARLY = ("aborted", "faulted")
 MOVED_MM = 1e-6
@@ -221,11 +223,18 @@ def _measured_twice(night: NightRecord) -> str:
     )
 
 
+def _is_confirmed(night: NightRecord) -> bool:
+    """Return True if the run has kept the former table because a new one would not be better, or not provably so."""
+    kept = night.state == "complete" and night.active == night.former
+    return kept and night.reason.startswith(Decision.CONFIRMED.value)
+
+
 def _not_resumed(night: NightRecord) -> str:
     unfinished = not night.journal_closed if night.killed else night.state == "faulted"
     if night.must_resume and unfinished and night.resume_refused:
         return f"the run could not be resumed: {night.resume_refused}"
-    if night.must_end_well and not night.accepted and night.state != "refused":
+    decided = night.accepted or night.state == "refused" or _is_confirmed(night)
+    if night.must_end_well and not decided:
         return f"nothing disturbed the resumed run, and it ended {night.state}: {night.reason}"
     return ""
 

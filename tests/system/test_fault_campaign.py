@@ -80,6 +80,7 @@ VIOLATING: list[tuple[str, NightRecord, dict[str, Any]]] = [
     ("nothing measured twice", PROVED, {"repeated": ("measure/1/touch-0",)}),
     ("resumed to the end", RESTORED, {"must_resume": True, "resume_refused": "there is no run to resume"}),
     ("resumed to the end", RESTORED, {"must_end_well": True}),
+    ("resumed to the end", RESTORED, {"must_end_well": True, "state": "complete", "journal_state": "complete"}),
 ]
 
 
@@ -137,6 +138,12 @@ def test_what_nothing_could_show_is_counted_with_its_reason_and_must_be_said_in_
     assert violations(repaired) == {}
     assert violations(replace(repaired, morning=NEW)).keys() > {"former table or a proved one"}
     assert summarise([replace(RESTORED, unseen=why)])["cannot_be_seen"] == {}
+
+
+def test_a_resumed_run_that_confirms_the_active_table_has_ended_well() -> None:
+    ended = replace(RESTORED, must_end_well=True, state="complete", journal_state="complete")
+    assert violations(replace(ended, reason="confirmed: kept, no gain that can be shown")) == {}
+    assert set(violations(replace(ended, reason="restored: no effect"))) == {"resumed to the end"}
 
 
 def test_a_second_fault_is_counted_only_if_it_has_begun() -> None:
