@@ -18,7 +18,8 @@ class ServiceSettings(StrictModel):
 
     An unattended start is permitted only within `hours` (local time, for example 22:00-05:30). This computer must also
     have been on for at least `warm_up_minutes`. If `idle_read_period_s` is not 0, the devices are opened and asked once
-    per this period between runs, with all that a driver does when it opens its device.
+    per this period between runs. Over Modbus this writes nothing unless the active bank is not the
+    one shown before; any other driver does what it does whenever it opens its device.
     """
 
     host: str = "127.0.0.1"

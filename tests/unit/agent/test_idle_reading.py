@@ -241,6 +241,17 @@ def test_each_device_says_for_itself_whether_it_answers() -> None:
     assert (cnc.log, mount.log) == (["open", "close"], ["open"])
 
 
+class LookedAt(Device):
+    def open_to_look(self) -> None:
+        self.log.append("look")
+
+
+def test_a_device_that_can_be_looked_at_is_not_opened_for_a_run() -> None:
+    cnc = LookedAt()
+    found = read(SimpleNamespace(active_bank=lambda: 2, pending_bank=lambda: None), cnc=cnc)
+    assert (found.active_bank, cnc.log) == (2, ["look", "close"])
+
+
 def test_a_store_that_fails_in_mid_reading_leaves_nothing_known() -> None:
     def lost() -> int:
         raise LinkLost("gone")
