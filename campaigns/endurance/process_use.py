@@ -1,4 +1,4 @@
-"""What a process and its files use, read from the operating system."""
+"""Use of memory, handles, threads and disk by a process and its files, read from the operating system."""
 
 from __future__ import annotations
 
