@@ -144,7 +144,10 @@ class _Ball:
             yield Record(f"{key}/again", "event", self._note(self.reason, last=True))
             return
         yield Record(f"{key}/found", "event", {"ball": self._key, "off_mm": fit.centre - self._centre})
-        self._centre, self._search = fit.centre, probing.narrow_search
+        # Touches that lie on no sphere of this ball may have met one that moves: its location is still not known.
+        wrong_mm = max(fit.form, abs(fit.radius - probing.contact_mm))
+        self._centre = fit.centre
+        self._search = probing.narrow_search if wrong_mm <= probing.recentre_mm else probing.locating_search
 
     def attempt(self, number: int, *, last: bool) -> Plan[FittedBall | None]:
         """Make all touches once; return None if the ball must be measured again or is given up."""

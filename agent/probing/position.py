@@ -227,9 +227,9 @@ class _Measuring:
             key = f"{self._key(one.ball)}/once-more"
             yield Record(f"{key}/reason", "event", {"ball": one.ball, "reason": one.text, "then": "repeat the ball"})
             place = [ball.ball for ball in self.found].index(one.ball)
-            result = yield from self._approach_and_measure(
-                key, one.ball, self.found[place].found.centre_mm, self._search
-            )
+            predicted = self.found[place].found.centre_mm
+            result = yield from self._approach_and_measure(key, one.ball, predicted, self._search)
+            self._search = self._search_after(result, predicted)
             if isinstance(result, LostBall):
                 del self.found[place]
                 yield from self._lose(one.ball, result.reason)

@@ -227,6 +227,22 @@ def test_a_ball_that_is_knocked_between_its_touches_is_never_hit_at_rapid_when_i
     assert repeated > 150
 
 
+def test_a_ball_that_is_knocked_while_it_is_located_is_seldom_hit_at_rapid_afterwards() -> None:
+    """The locating touches then lie on no sphere of the ball. They show nothing of a knock that moves the ball along
+    its surface at the touches that follow: those few balls may be hit."""
+    rng = np.random.default_rng(1)
+    guarded = probing(guarded_feed_mm_per_s=20.0)
+    hit = 0
+    for _ in range(300):
+        direction = rng.normal(size=3)
+        knock_mm = direction / np.linalg.norm(direction) * rng.uniform(0.3, 12.0)
+        player = KnockedBall(f"b/locate/touch-{rng.integers(1, 5)}", knock_mm)
+        with suppress(CommandRejected):
+            player.run(measure_ball("b", CENTRE, guarded, guarded.locating_search))
+        hit += any(not key.startswith("b/locate/") for key in player.rapid_hits)
+    assert hit < 10  # 83 if the tip always moves at rapid traverse once the ball has been located
+
+
 def test_touches_that_still_contradict_each_other_repeat_the_ball_at_the_feed_for_an_unknown_place() -> None:
     wrong = ("b/touch-4", "b/clean-up/touch-4")
     player = TouchedBall(CENTRE, PROBING.contact_mm, lambda _way, _feed, key: 2.0 if key in wrong else 0.0)

@@ -21,6 +21,7 @@ from agent.execution.encoding import encode_step
 from agent.execution.tip_trace import LastMotion
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
+from agent.probing.ball_consistency import InconsistentBall
 from agent.probing.paths.approach_points import TipLocation
 from agent.probing.paths.shortest_path import ShortestPathPlanner, _TipState
 from agent.probing.position import PositionTask, measure_position
@@ -291,6 +292,35 @@ def test_balls_after_one_that_is_not_where_the_others_place_it_are_located_first
     assert {ball: off[2] for ball, off in off_mm.items()} == pytest.approx({0: 0.0, 3: 0.0, 2: knock_mm, 1: knock_mm})
     located = {key.partition("/locate/")[0] for key in player.touched if "/locate/" in key}
     assert located == ({"row/ball-01", "row/ball-00/again"} if knock_mm else set())
+
+
+class TwoInDoubt:
+    """Consistency check that finds two balls inconsistent until they have been measured once more."""
+
+    asked = 0
+
+    def inconsistent(self, _: object) -> tuple[InconsistentBall, ...]:
+        self.asked += 1
+        return tuple(InconsistentBall(ball, 0, 9.0, 1.0) for ball in (3, 2)) if self.asked == 1 else ()
+
+
+class KnockedOnceMore(KnockedRow):
+    """Row that is displaced when ball 3 is measured once more."""
+
+    def to(self, step: s.Step) -> Any:
+        if "/ball-03/once-more/" in step.key:
+            self.at_ball = 3
+        return super().to(step)
+
+
+def test_a_row_that_is_knocked_when_balls_are_measured_once_more_is_located_again() -> None:
+    row_mm = np.array([1500.0, 700.0, 400.0]) + np.outer(np.arange(4.0) * 120.0, [1.0, 0.0, 0.0])
+    task = PositionTask("row", 0, 1, 0.0, 0.0, row_mm, np.ones(4, dtype=bool))
+    rules = replace(JOB.rules, drift=replace(JOB.rules.drift, limit_mm=10.0), consistency=TwoInDoubt())
+    player = KnockedOnceMore(task, -1, 1.0)
+    player.run(measure_position(task, row_mm[0], rules))
+    located = {key.partition("/locate/")[0] for key in player.touched if "/locate/" in key}
+    assert located == {"row/ball-02/once-more", "row/ball-00/again"}
 
 
 def test_touches_that_locate_no_ball_end_at_it_with_the_reason() -> None:
