@@ -21,7 +21,8 @@ from drivers.links.modbus_rtu import RtuEndpoint, RtuTransport
 from drivers.links.modbus_serial_line import SerialLine, build_frame
 from drivers.linuxcnc.installation.ini_file import IniFile
 from drivers.modbus_cnc.codec import NumberFormat
-from drivers.modbus_cnc.registers import MAJOR_VERSION, PROTOCOL, BlockLayouts
+from drivers.modbus_cnc.codes import MAJOR_VERSION, PROTOCOL
+from drivers.modbus_cnc.registers import BlockLayouts
 from drivers.serial_cnc.tape.transfer import decode, encode
 from simulators.wire.grbl.blocks import BlockError, BlockParser, WorkOffsets
 from twin.artefact.position_set import parse_position_set
