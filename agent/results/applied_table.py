@@ -56,7 +56,10 @@ class AppliedTable:
         if self.mistake not in ("", NO_EFFECT, _FORMER_ACTS, _BOTH_ACT):
             return found
         instruction = "see at the controller that the former compensation acts again"
-        return f"{found}; so {BANK_DOUBTED}, or not as written: {instruction}"
+        return (
+            f"{found}; so {BANK_DOUBTED} or does not act as written, or the machine or the artefact has changed during the "
+            f"proof: {instruction}"
+        )
 
 
 def applied_table(

@@ -70,7 +70,7 @@ class SettlingRules:
             return ""
         passed_s = instant_s - before.instant_s
         allowed_k = JUMP_K + self.max_rate_k_per_h * passed_s / (60.0 * S_PER_MIN)
-        if abs(artefact_c - before.artefact_c) <= allowed_k:
+        if not abs(artefact_c - before.artefact_c) > allowed_k:  # also without a limit of the rate, at the same instant
             return ""
         return (
             f"the artefact's temperature jumped from {before.artefact_c:.2f} to {artefact_c:.2f} °C within "
