@@ -57,8 +57,8 @@ class AppliedTable:
             return found
         instruction = "see at the controller that the former compensation acts again"
         return (
-            f"{found}; so {BANK_DOUBTED} or does not act as written, or the machine or the artefact has changed during the "
-            f"proof: {instruction}"
+            f"{found}; so {BANK_DOUBTED} or does not act as written, or the machine or the artefact has changed during "
+            f"the proof: {instruction}"
         )
 
 
