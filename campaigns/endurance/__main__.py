@@ -49,6 +49,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--runs", type=int, default=1000)
     parser.add_argument("--csv", type=Path, help="write one row for each run")
     given = parser.parse_args(arguments)
+    if given.runs < EVERY:
+        parser.error(f"--runs must be at least {EVERY}, so that each kind of run occurs")
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.ERROR))
     began = perf_counter()
     plant = FortnightPlant(SHORT.scenario, lambda _: 1)

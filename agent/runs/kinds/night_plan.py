@@ -28,6 +28,7 @@ MIN_FUSED_POSITIONS = 2
 """Smallest number of positions that are fused; fewer cannot separate machine errors from artefact errors."""
 
 _AHEAD = 1.3  # time to choose for, relative to the time left: positions together cost less than one by one
+_ROUNDING_MIN = 1e-6  # the minutes of the ideal machine are those of the preflight but for rounding
 _MOST_TRIES = 6
 _MOST = 100
 
@@ -143,10 +144,10 @@ def night_plan(
         own = plan.job(chooser.job)
         # the ideal machine looks for no collisions, which takes most of the time of a preflight
         tried[count] = plan, plan_minutes(own, expected_plan(planner(plan)(own)), start_mm)
-        left = room - tried[count][1]
+        left = room - tried[count][1] - _ROUNDING_MIN
         more = offered[count : count + 1]
         count += 1 if more and left > chooser.minutes(more) else -1 if left < 0.0 else 0
-    # The minutes of the ideal machine are those of the preflight but for rounding; the preflight has the last word.
+    # the preflight has the last word
     for number in sorted(tried, reverse=True):
         plan, minutes = tried[number]
         if minutes > room:

@@ -41,7 +41,7 @@ from drivers.errors import PermissionMissing, StoreError, UserError, VolcalError
 log = structlog.get_logger()
 
 READING_LIMIT_S = 30.0
-"""Longest time in s that a request waits for a reading of the idle machine; the links give up earlier."""
+"""Longest time in s that a request waits for a reading of the idle machine."""
 
 MAX_REASON = 200
 """Longest reason of an abort in characters. Anybody may abort, so the reason may be any text."""
@@ -279,13 +279,13 @@ class Owner:
 
     def _reserve(self) -> RunMailbox:
         with self._changed:
-            if self._closing:
-                raise Busy("the service is being stopped", hint="start the service again")
+            self._require_service()
             self._require_nothing_runs()
             self._require_reset()
             self._running = running = RunMailbox(new_run_id(), self._parts.health.beat)
             try:
                 self._await_reading()
+                self._require_service()  # it may have been stopped meanwhile
             except Busy:
                 self._release()
                 raise
@@ -296,14 +296,18 @@ class Owner:
         meanwhile. Raise Busy if the reading has not ended after `READING_LIMIT_S`."""
         if not self._changed.wait_for(lambda: not self._reading, READING_LIMIT_S):
             raise Busy(
-                f"the machine is being read, and has not answered for {READING_LIMIT_S:g} s",
-                hint="a device does not answer (`volcal doctor` names it); try again",
+                f"the machine is being read, and this has not ended after {READING_LIMIT_S:g} s",
+                hint="a device answers slowly or not at all (`volcal doctor` names it); try again",
             )
 
     def _release(self) -> None:
         with self._changed:
             self._running = None
             self._changed.notify_all()
+
+    def _require_service(self) -> None:
+        if self._closing:
+            raise Busy("the service is being stopped", hint="start the service again")
 
     def _require_nothing_runs(self) -> None:
         if self._running is not None:

@@ -146,7 +146,7 @@ def test_a_request_waits_for_a_device_that_hangs_only_so_long(tmp_path: Path, mo
         reading.start()
         assert slow.begun.wait(PATIENCE_S)
         for ask in (lambda: started(built), built.owner.reset):
-            with pytest.raises(Busy, match="has not answered for"):
+            with pytest.raises(Busy, match="has not ended after"):
                 ask()
         assert not built.owner.busy
         slow.answer.set()
@@ -161,9 +161,16 @@ def test_the_end_of_the_service_awaits_a_reading_in_progress(tmp_path: Path, mon
         monkeypatch.setattr(type(built.machine), "read", slow.read)
         service = built.owner.settings.service.model_copy(update={"idle_read_period_s": 3600.0})
         monkeypatch.setattr(built.owner, "settings", built.owner.settings.model_copy(update={"service": service}))
+
+        def answer_when_stopped() -> None:
+            while built.owner.await_change(0.01):
+                pass
+            slow.answer.set()
+
         with idle_reading(built.owner):
             assert slow.begun.wait(PATIENCE_S)
-            threading.Timer(0.05, slow.answer.set).start()
+            threading.Thread(target=answer_when_stopped).start()
+            assert not slow.answer.is_set()
         assert slow.answer.is_set()
         assert not [thread for thread in threading.enumerate() if thread.name == "idle-reader"]
 
