@@ -205,6 +205,12 @@ class KnockedBall(TouchedBall):
         return float(np.linalg.norm(begin + part * way - self.centre_mm)) < self.contact_mm - 1e-6
 
 
+def drawn_knock_mm(rng: np.random.Generator) -> np.ndarray:
+    """Knock of any direction, by 0.3 to 12 mm."""
+    direction = rng.normal(size=3)
+    return np.asarray(direction / np.linalg.norm(direction) * rng.uniform(0.3, 12.0))
+
+
 @pytest.mark.parametrize("touches", [3, 5, 9])
 def test_a_ball_that_is_knocked_between_its_touches_is_never_hit_at_rapid_when_it_is_repeated(touches: int) -> None:
     """A move of the pattern in which the ball is knocked may hit it, since nothing has shown the knock. What is
@@ -215,8 +221,7 @@ def test_a_ball_that_is_knocked_between_its_touches_is_never_hit_at_rapid_when_i
         guarded = guarded.qualified(Stylus(PROBING.contact_mm, 3e-4, fixed=True))
     repeated = 0
     for _ in range(500):
-        direction = rng.normal(size=3)
-        knock_mm = direction / np.linalg.norm(direction) * rng.uniform(0.3, 12.0)
+        knock_mm = drawn_knock_mm(rng)
         player = KnockedBall(f"b/touch-{rng.integers(1, touches)}", knock_mm)
         with suppress(CommandRejected):
             player.run(measure_ball("b", CENTRE, guarded, PROBING.narrow_search))
@@ -234,8 +239,7 @@ def test_a_ball_that_is_knocked_while_it_is_located_is_seldom_hit_at_rapid_after
     guarded = probing(guarded_feed_mm_per_s=20.0)
     hit = 0
     for _ in range(300):
-        direction = rng.normal(size=3)
-        knock_mm = direction / np.linalg.norm(direction) * rng.uniform(0.3, 12.0)
+        knock_mm = drawn_knock_mm(rng)
         player = KnockedBall(f"b/locate/touch-{rng.integers(1, 5)}", knock_mm)
         with suppress(CommandRejected):
             player.run(measure_ball("b", CENTRE, guarded, guarded.locating_search))
