@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 
 from agent.execution.engine import Observer
 from agent.execution.rig import Rig
 from agent.execution.run_state import RunStateTracker
 from agent.execution.steps import Record, Step, TouchTowards
+from agent.planning.run_phases import PREFLIGHT, Progress
 from agent.results.run_time import RunTime
 from agent.runs.run_forecast import RunForecast
 from agent.runs.run_results import RunResults
-from twin.units import S_PER_MIN
+
+_SIMULATED_STEPS = 200
+"""Number of simulated steps after which the preflight announces its progress: a fraction of a second."""
+_LARGEST = 0.99
+"""Largest announced fraction of a preflight that has not ended: the former one may have been shorter."""
 
 
 class StepProgress:
@@ -31,13 +37,33 @@ class StepProgress:
         self._further = further
         self._forecast: RunForecast | None = None
         self._last_s = 0.0
+        self._announced: tuple[object, ...] = ()
+        self.simulated_steps = 0
         self.results = RunResults()
         self.touches = 0
         self.balls = 0
 
     def begin(self, forecast: RunForecast) -> None:
-        """Follow the run with `forecast` from now on."""
+        """Follow the run with `forecast` from now on, and announce its minutes before its first step."""
         self._forecast, self._last_s = forecast, self._rig.clock.now()
+        self._announce("", forecast.at_start())
+
+    def simulating(self, watch: Callable[[], None], expected_steps: int | None) -> Callable[[], None]:
+        """Return a function that the preflight calls after each simulated step. It calls `watch`, counts the steps and
+        announces the progress of the preflight.
+
+        `expected_steps` is the number of steps that the preflight of the last run of this kind has simulated; if it is
+        None, the fraction is not known.
+        """
+
+        def simulated() -> None:
+            watch()
+            self.simulated_steps += 1
+            if self.simulated_steps % _SIMULATED_STEPS == 0:
+                self._announce_preflight(expected_steps)
+
+        self._announce_preflight(expected_steps)
+        return simulated
 
     def run_time(self, minutes: float) -> RunTime | None:
         """Return the account of the time of a run that took `minutes`; None if it was not planned."""
@@ -56,6 +82,8 @@ class StepProgress:
             self.touches += 1
         elif isinstance(step, Record):
             self._observe_record(step)
+        if self._forecast is not None:
+            self._announce(step.key, self._forecast.progress(step.key))
 
     def _note_interruptions(self) -> None:
         counts = self._rig.link_interruptions()
@@ -76,14 +104,31 @@ class StepProgress:
     def _observe_record(self, step: Record) -> None:
         if "note" in step.payload:
             self._tracker.announce_note(step.payload["note"])
-        if step.kind == "ball" and self._forecast is not None:
+        if step.kind == "ball":
             self.balls += 1
-            self._announce_progress(step.key, self._forecast)
 
-    def _announce_progress(self, key: str, forecast: RunForecast) -> None:
-        """Announce the fraction of machine time used and the minutes left. Both follow the latencies that the run has
-        shown so far."""
-        left_s, done_s = forecast.left_s(key), forecast.done_s(key)
-        if left_s is not None and done_s is not None:
-            fraction = done_s / (done_s + left_s)
-            self._tracker.progress(key, fraction=fraction, minutes_left=left_s / S_PER_MIN)
+    def _announce_preflight(self, expected_steps: int | None) -> None:
+        done = self.simulated_steps
+        self._tracker.progress(
+            PREFLIGHT,
+            phase=PREFLIGHT,
+            fraction=0.0,
+            minutes_left=None,
+            phase_fraction=min(done / expected_steps, _LARGEST) if expected_steps else None,
+            phase_minutes_left=None,
+            simulated_steps=done,
+        )
+
+    def _announce(self, key: str, progress: Progress | None) -> None:
+        """Announce the progress of the run and of its phase if one of its figures has changed as it is shown."""
+        if progress is None:
+            return
+        shown = (
+            progress.phase,
+            round(1000.0 * progress.fraction),
+            round(100.0 * progress.phase_fraction),
+            math.ceil(progress.minutes_left),
+        )
+        if shown != self._announced:
+            self._announced = shown
+            self._tracker.progress(key, **vars(progress))
