@@ -268,9 +268,11 @@ def test_a_drawn_scene_has_no_message_over_it_while_the_next_plan_is_computed(
     """The answers of the service are kept back until the page has asked for the plan of another run."""
     with told(chromium, house) as (page, said):
         note = page.locator(".stage-note")
+        with page.expect_response("**/api/plan"):
+            page.reload()
         expect(note).to_have_text("")
         kept: list[Route] = []
-        page.route("**/api/plan", kept.append)
+        page.route("**/api/plan", lambda route: kept.append(route))  # noqa: PLW0108  Playwright marks the function
         with page.expect_request("**/api/plan"):
             said.update(status(RunState.MEASURING))
         expect(page.locator("#state")).to_have_attribute("data-state", "measuring")
