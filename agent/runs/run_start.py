@@ -16,9 +16,9 @@ from agent.results.decision_kinds import INPUTS
 from agent.results.journal_entries import inputs_of
 from agent.runs.planned_run import Kind, StartConditions
 from agent.runs.reconcile import has_compensation_record, reconcile
+from agent.runs.step_progress import FormerPreflight
 from drivers.clock import Clock, utc_timestamp
 
-_SIMULATED = "simulated_steps"
 _LATEST_RUNS = 20
 _FIRST_NOTES = 10
 
@@ -62,15 +62,15 @@ def read_start_conditions(rig: Rig, journal: RunJournal, state_directory: Path) 
     )
 
 
-def last_simulated_steps(state_directory: Path, kind: str) -> int | None:
-    """Return the number of steps that the preflight of the last run of the kind `kind` has simulated; None if none of
-    the latest runs is of this kind or says it."""
+def last_preflight(state_directory: Path, kind: str) -> FormerPreflight | None:
+    """Return the preflight of the last run of the kind `kind`; None if none of the latest runs is of this kind or says
+    it."""
     with open_journal(state_directory) as reader:
         latest = [run for run in islice(reader.latest_begun_runs(), _LATEST_RUNS) if run.kind == kind]
         for run in latest:
             for note in reader.events(run.run, {"note"}, limit=_FIRST_NOTES):
-                if _SIMULATED in note.record:
-                    return int(note.record[_SIMULATED])
+                if FormerPreflight.STEPS in note.record:
+                    return FormerPreflight.of(note.record)
     return None
 
 

@@ -66,7 +66,8 @@ class Status:
     - `minutes_left` is the remaining machine time in min, as computed by the preflight; None before its end.
     - `phase` is the phase of the run in progress: ``preflight``, one of `agent.planning.run_phases.MOVING_PHASES`, or
       the state in which the machine does not move, such as ``identifying``; empty between runs. `phase_fraction` is its
-      completed part, from 0 to 1, and `phase_minutes_left` its remaining machine time in min; None if it is not known.
+      completed part, from 0 to 1, and `phase_minutes_left` its remaining time in min, machine time or, in a preflight,
+      the time of the computation; None if it is not known.
     - `simulated_steps` is the number of steps that the preflight of the run has simulated so far.
     - `ve_before_um` and `ve_now_um` are the volumetric errors (VE) without and with the compensation table, according
       to the last accepted estimate; both are in µm, after the best-fitting rigid motion is removed.

@@ -238,14 +238,16 @@ def test_each_phase_has_its_name_progress_and_minutes_under_the_kind_of_run(chro
     with told(chromium, house, "de") as (page, said):
         expect(page.locator("#phase")).to_be_hidden()
         started = {**status(RunState.PREFLIGHT), "fraction": 0.0, "minutes_left": None, "phase": PREFLIGHT}
-        said.update({**started, "position_set": "S3", "phase_fraction": None, "simulated_steps": 1400})
+        said.update({**started, "position_set": "S3", "phase_fraction": None, "simulated_steps": 0})
+        expect(page.locator("#phase")).to_have_text("Vorabprüfung · Ablauf wird vorbereitet")
+        said.update(simulated_steps=1400)
         bar = page.locator(".track.own")
         expect(page.locator("#kind")).to_have_text("Kalibrieren · S3")
         expect(page.locator("#phase")).to_have_text("Vorabprüfung · 1.400 Schritte simuliert")
         expect(bar).not_to_have_attribute("aria-valuenow", re.compile(".*"))
         expect(page.locator("#minutes-left")).to_be_hidden()
-        said.update(phase_fraction=0.25)
-        expect(page.locator("#phase")).to_have_text("Vorabprüfung · 25 % · 1.400 Schritte simuliert")
+        said.update(phase_fraction=0.25, phase_minutes_left=0.15)
+        expect(page.locator("#phase")).to_have_text("Vorabprüfung · 25 % · noch 9 s · 1.400 Schritte simuliert")
         expect(bar).to_have_attribute("aria-valuenow", "25")
 
         step = "probe/station-2/az0-el45/ball-00/qualify/touch-3/above"

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -63,6 +63,7 @@ _KEY = re.compile(
     r"(?P<phase>[\w-]+)(/station-(?P<station>\d+))?(/az(?P<az>-?[\d.]+)-el(?P<el>-?[\d.]+))?(/ball-(?P<ball>\d+))?"
 )
 _MOVING = frozenset({S.MEASURING, S.VERIFYING, S.HELD})
+_STILL = frozenset(RunState) - _MOVING - {S.PREFLIGHT, S.RESUMING}
 
 
 @dataclass(frozen=True)
@@ -225,7 +226,7 @@ class StatusBoard:
                     self.enter(state, announcement.text)
                 return
             case "progress":
-                self._change(**{name: data[name] for name in _PROGRESS if name in data})
+                self._on_progress(data)
             case _:
                 log.info(announcement.text, **data)
         self.event_log.publish(announcement.kind, announcement.text, data)
@@ -279,6 +280,12 @@ class StatusBoard:
         log.info("state", state=state.value, former=former.value, text=text)
 
     # ------------------------------------------------------------------
+
+    def _on_progress(self, data: Mapping[str, Any]) -> None:
+        told = {name: data[name] for name in _PROGRESS if name in data}
+        if self._status.state in _STILL:  # while a table is computed or written, the state is the phase
+            told = {name: value for name, value in told.items() if name not in _NO_PHASE}
+        self._change(**told)
 
     def _on_record(self, step: Record) -> None:
         if step.key.endswith("/lost"):

@@ -17,7 +17,7 @@ from agent.planning.run_phases import PREFLIGHT, PROBE_CHECK, QUALIFICATION, REV
 from agent.planning.time_model import time_model
 from agent.runs.kinds.calibrate import preflight_of
 from agent.runs.run_forecast import RunForecast
-from agent.runs.step_progress import StepProgress
+from agent.runs.step_progress import FormerPreflight, StepProgress
 from drivers.clock import VirtualClock
 
 
@@ -79,19 +79,23 @@ def test_an_impaired_device_is_noted_when_it_begins_and_when_it_ends() -> None:
 
 
 def test_a_preflight_tells_its_steps_and_its_fraction_if_a_former_one_is_known() -> None:
-    for expected, fractions in ((None, {None}), (800, {0.0, 0.25, 0.5, 0.75, 0.99})):
+    former = FormerPreflight.of({"simulated_steps": 800, "planning_seconds": 3600.0})
+    for expected, fractions in ((None, {None}), (former, {None, 0.25, 0.5, 0.75, 0.99})):
         heard: list[Announcement] = []
         checked: list[None] = []
         progress = StepProgress(RunStateTracker(Journal(), heard.append), lambda _, __: None, quiet_rig())  # type: ignore[arg-type]
-        watch = progress.simulating(lambda checked=checked: checked.append(None), expected)
+        watch = progress.simulating(lambda checked=checked: checked.append(None), expected)  # type: ignore[misc]
         for _ in range(1000):
             watch()
-        assert len(checked) == progress.simulated_steps == 1000
+        assert len(checked) == progress.preflight.steps == 1000
         assert [one.data["simulated_steps"] for one in heard] == [0, 200, 400, 600, 800, 1000]
         assert {one.data["phase_fraction"] for one in heard} == fractions
+        left = [one.data["phase_minutes_left"] for one in heard]
+        assert left == ([None] * 6 if expected is None else sorted(left, reverse=True))
         assert {(one.kind, one.data["phase"], one.data["minutes_left"]) for one in heard} == {
             ("progress", PREFLIGHT, None)
         }
+        assert FormerPreflight.of(progress.preflight.as_record()).steps == 1000
 
 
 def test_a_preflight_that_is_stopped_counts_no_further_step() -> None:
@@ -101,7 +105,7 @@ def test_a_preflight_that_is_stopped_counts_no_further_step() -> None:
     progress = StepProgress(RunStateTracker(Journal(), lambda _: None), lambda _, __: None, quiet_rig())  # type: ignore[arg-type]
     with pytest.raises(Aborted):
         progress.simulating(stop, None)()
-    assert progress.simulated_steps == 0
+    assert progress.preflight.steps == 0
 
 
 def test_a_rig_asks_only_the_devices_that_can_say_what_is_impaired() -> None:
