@@ -165,7 +165,6 @@ class StatusBoard:
 
     def reset(self) -> None:
         self._change(alarms=(), fraction=0.0, minutes_left=None, step="", run_id=None, kind=None, started=None)
-        self._change(simulated_steps=0, **_NO_PHASE)
         self._change(balls=0, touches=0, verdict=None)
         self.enter(RunState.IDLE, "reset")
 
@@ -258,7 +257,7 @@ class StatusBoard:
         log.info("question", open=question is not None, text=text)
 
     def show_outcome(self, outcome: Outcome) -> None:
-        self._change(minutes_left=None, verdict=outcome.verdict, **_NO_PHASE)
+        self._change(minutes_left=None, simulated_steps=0, verdict=outcome.verdict, **_NO_PHASE)
         self.show_bank(outcome.table_bank)
         self.event_log.publish("outcome", outcome.reason or outcome.state.value, outcome.as_json())
 
@@ -274,7 +273,7 @@ class StatusBoard:
         former, verdict = self._status.state, self._status.verdict
         if verdict is None and state in AT_REST - {S.IDLE}:  # the run has ended without an outcome
             verdict = verdict_of(self._status.kind or "", state.value, ended=True, accepted=None, decision=None)
-        ended = _NO_PHASE if state in AT_REST else {}
+        ended = {**_NO_PHASE, "simulated_steps": 0} if state in AT_REST else {}
         self._change(state=state, packml=PACKML[state], verdict=verdict, **ended)
         self.event_log.publish("state", text, {"state": state.value, "packml": PACKML[state]})
         log.info("state", state=state.value, former=former.value, text=text)
