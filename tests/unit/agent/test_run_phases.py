@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from agent.cli.service_commands.status import show
 from agent.execution.journal import Journal
 from agent.execution.run_state import Announcement
 from agent.execution.states import RunState
@@ -24,6 +25,7 @@ from agent.planning.run_phases import (
 )
 from agent.runs.run_start import last_preflight
 from agent.runs.step_progress import FormerPreflight
+from agent.service.daemon.main_loop import status_text
 from agent.service.state.event_log import EventLog
 from agent.service.state.status_board import StatusBoard
 from drivers.clock import VirtualClock
@@ -118,3 +120,16 @@ def test_the_preflight_of_the_last_run_of_the_same_kind_is_the_measure(
     finally:
         journal.close()
     assert last_preflight(tmp_path, kind) == found
+
+
+def test_the_command_and_systemd_state_the_phase(capsys: pytest.CaptureFixture[str]) -> None:
+    board = StatusBoard("mill", EventLog(), VirtualClock().now)
+    board.begin_run("run", "calibrate", "page", "S3")
+    told(board, "progress", phase=PREFLIGHT, phase_fraction=None, fraction=0.0, minutes_left=None, simulated_steps=700)
+    show(vars(board.status()), as_json=False)
+    assert "preflight, 700 steps simulated" in capsys.readouterr().out
+    assert "700 steps simulated" in status_text(board.status())
+    told(board, "progress", **progress(QUALIFICATION, 0.4))
+    show(vars(board.status()), as_json=False)
+    assert "qualification, 40 %, 1 min left" in capsys.readouterr().out
+    assert "50 %, 9 min left" in status_text(board.status())
