@@ -66,7 +66,7 @@ export function phaseText({ phase, phase_fraction: fraction, phase_minutes_left:
   const name = say(`phase.${named(phase)}`);
   const parts = [fraction === null ? null : `${number(Math.round(100 * fraction), 0)} %`];
   if (minutes !== null) parts.push(say(minutes < 1 ? "progress.seconds" : "progress.left", { minutes: number(Math.ceil(minutes), 0), seconds: number(Math.ceil(60 * minutes), 0) }));
-  if (phase === "preflight") parts.push(steps ? say("progress.simulated", { steps: number(steps, 0) }) : say("progress.planning"));
+  if (phase === "preflight" && fraction === null) parts.push(steps ? say("progress.simulated", { steps: number(steps, 0) }) : say("progress.planning"));
   return [name, ...parts].filter(Boolean).join(" · ");
 }
 
