@@ -267,21 +267,26 @@ def test_each_phase_has_its_name_progress_and_minutes_under_the_kind_of_run(chro
 def test_a_drawn_scene_has_no_message_over_it_while_the_next_plan_is_computed(
     chromium: Browser, house: Service
 ) -> None:
-    """The answers of the service are kept back until the page has asked for the plan of another run."""
+    """The plans are kept back, so that each moment of the page lasts as long as the test looks at it."""
     with told(chromium, house) as (page, said):
-        note = page.locator(".stage-note")
-        with page.expect_response("**/api/plan"):
-            page.reload()
-        expect(note).to_have_text("")
         kept: list[Route] = []
-        page.route("**/api/plan", lambda route: kept.append(route))  # noqa: PLW0108  Playwright marks the function
+
+        def keep(route: Route) -> None:
+            kept.append(route)
+
+        page.goto("about:blank")  # nothing that was asked before is answered any more
+        page.route("**/api/plan", keep)
+        page.goto(house.url)
+        note = page.locator(".stage-note")
+        expect(note).to_have_text("Computing the path …")
+        for route in kept:
+            route.continue_()
+        expect(note).to_have_text("")
+        kept.clear()
         with page.expect_request("**/api/plan"):
             said.update(status(RunState.MEASURING))
         expect(page.locator("#state")).to_have_attribute("data-state", "measuring")
         expect(note).to_have_text("")
-        for route in kept:
-            route.continue_()
-        page.unroute("**/api/plan")
 
 
 def test_the_last_run_is_asked_for_again_if_the_service_did_not_answer(chromium: Browser, house: Service) -> None:
