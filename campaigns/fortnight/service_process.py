@@ -111,9 +111,8 @@ class ServiceHost:
         wait_for(lambda: (self.state / address_file.ADDRESS_FILE).exists() or self._ended(), "the service")
         if self._ended():
             raise RuntimeError((self.directory / "service.log").read_text(encoding="utf-8")[-2000:])
-        token = (self.state / "token").read_text(encoding="utf-8").strip()
-        self._http = httpx.Client(base_url=address_file.read_address(self.state), timeout=60.0, trust_env=False)
-        self._token = {"Authorization": f"Bearer {token}"}
+        self._http = httpx.Client(base_url=self.url, timeout=60.0, trust_env=False)
+        self._token = {"Authorization": f"Bearer {self.token}"}
 
     def kill_service(self) -> None:
         """Kill the service process without notice, as in a power failure."""
@@ -135,6 +134,16 @@ class ServiceHost:
         """Process identity of the running service."""
         assert self._service is not None
         return self._service.pid
+
+    @property
+    def url(self) -> str:
+        """Address of the running service."""
+        return address_file.read_address(self.state)
+
+    @property
+    def token(self) -> str:
+        """Access token of the service."""
+        return (self.state / "token").read_text(encoding="utf-8").strip()
 
     # ------------------------------------------------------------------ clients
 
@@ -159,6 +168,11 @@ class ServiceHost:
     def post(self, path: str, body: Mapping[str, Any] | None = None, *, token: bool = True) -> httpx.Response:
         assert self._http is not None
         return self._http.post(path, json=body, headers=self._token if token else {})
+
+    def status_at_rest(self) -> Document | None:
+        """Return the status if no run is in progress, else None."""
+        now = self.status()
+        return now if now["state"] in AT_REST_NAMES else None
 
     def at_rest(self, run_id: str) -> Document:
         """Wait until the run `run_id` has ended, and return the status of the service."""

@@ -3,7 +3,7 @@ tree, what took too long, and how much the memory grew.
 
 python -m campaigns.fuzz [COUNT] [SEED] [SECONDS]
 
-COUNT inputs are tried per decoder, for journals a tenth of them. SEED selects other mutations. With SECONDS, no decoder
+COUNT inputs are tried per decoder, for journals, which are read in a dozen ways, a tenth of them. SEED selects other mutations. With SECONDS, no decoder
 takes longer than this many s of wall time, and the numbers say how many inputs it had.
 """
 
@@ -13,21 +13,16 @@ import json
 import logging
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from time import perf_counter
 from typing import Any
 
 import structlog
 
-from campaigns.fuzz.device_decoders import device_decoders
-from campaigns.fuzz.file_decoders import estimate_decoder, file_decoders
-from campaigns.fuzz.journal_decoder import journal_decoder, run_for_journal
-from campaigns.fuzz.trial import Decoder, excesses, tried
-from campaigns.fuzz.wire_decoders import wire_decoders
+from campaigns.fuzz.catalogue import decoders
+from campaigns.fuzz.trial import excesses, tried
 
 COUNT = 1000
-JOURNAL_SHARE = 0.1
-"""Share of inputs that a journal gets: one takes half a second, because it is read in a dozen ways."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -38,12 +33,12 @@ def main(arguments: Sequence[str]) -> int:
     logging.disable(logging.CRITICAL)
     warnings.simplefilter("error")  # as in the tests: a decoder that makes numpy warn has not judged its input
     began = perf_counter()
-    decoders: dict[str, dict[str, Any]] = {}
-    for decoder, inputs in _shares(count):
-        found = tried(decoder, inputs, seed, seconds)
+    results: dict[str, dict[str, Any]] = {}
+    for decoder in decoders():
+        found = tried(decoder, round(decoder.share * count), seed, seconds)
         wrong = [*found.failures, *excesses(decoder, found)]
         tries = found.read + found.refused + len(found.failures)
-        decoders[found.name] = {
+        results[found.name] = {
             "read": found.read,
             "refused": found.refused,
             "per_cpu_second": round(tries / max(found.cpu_s, 1e-6)),
@@ -57,21 +52,13 @@ def main(arguments: Sequence[str]) -> int:
             flush=True,
         )
     result = {
-        "passed": not any(found["failures"] for found in decoders.values()),
-        "inputs": sum(found["read"] + found["refused"] for found in decoders.values()),
-        "decoders": decoders,
+        "passed": not any(found["failures"] for found in results.values()),
+        "inputs": sum(found["read"] + found["refused"] for found in results.values()),
+        "decoders": results,
         "wall_seconds": round(perf_counter() - began, 1),
     }
     print(json.dumps(result, allow_nan=False))
     return 0 if result["passed"] else 1
-
-
-def _shares(count: int) -> Iterator[tuple[Decoder, int]]:
-    for decoder in (*file_decoders(), *wire_decoders(), *device_decoders()):
-        yield decoder, count
-    journal, estimate = run_for_journal()
-    yield estimate_decoder(estimate), count
-    yield journal_decoder(journal), round(JOURNAL_SHARE * count)
 
 
 if __name__ == "__main__":

@@ -31,13 +31,20 @@ LARGEST_GROWTH_BYTES = 64 * 2**20
 @dataclass(frozen=True)
 class Decoder:
     """Decoder of foreign bytes. `seeds` are good inputs. `decode` may raise the errors of the tree and `refusals`,
-    which its callers handle themselves. `cpu_bound_s` is the longest CPU time in s that one input may take."""
+    which its callers handle themselves. `cpu_bound_s` is the longest CPU time in s that one input may take, and `share`
+    the share of the inputs that this decoder gets."""
 
     name: str
     seeds: Sequence[bytes]
     decode: Callable[[bytes], object]
     refusals: tuple[type[Exception], ...] = ()
     cpu_bound_s: float = 1.0
+    share: float = 1.0
+
+    @property
+    def allowed(self) -> tuple[type[Exception], ...]:
+        """Errors with which an input may be refused."""
+        return (VolcalError, TwinError, *self.refusals)
 
 
 @dataclass
@@ -67,7 +74,6 @@ def tried(decoder: Decoder, count: int, seed: int, seconds: float = inf) -> Tria
     which it must read."""
     ends_s = monotonic() + seconds
     result, random = TrialResult(decoder.name), Random(f"{decoder.name} {seed}")  # noqa: S311  no secret
-    allowed: tuple[type[Exception], ...] = (VolcalError, TwinError, *decoder.refusals)
     for good in decoder.seeds:
         decoder.decode(good)
     settled = resident_bytes()
@@ -81,7 +87,7 @@ def tried(decoder: Decoder, count: int, seed: int, seconds: float = inf) -> Tria
         try:
             with time_limit(BOUND_S):
                 decoder.decode(data)
-        except allowed:
+        except decoder.allowed:
             result.refused += 1
         except (Exception, Hang) as error:  # noqa: BLE001  whatever it is, it is the finding
             place = traceback.extract_tb(error.__traceback__)[-1]

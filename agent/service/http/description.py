@@ -9,6 +9,7 @@ from typing import Any
 
 from fastapi import FastAPI
 
+from agent.service.http import problems
 from agent.service.http.app import add_endpoints
 
 
@@ -16,6 +17,7 @@ def openapi_document() -> dict[str, Any]:
     """Return the OpenAPI document. Its version number is fixed, because a release of the program alone does not change
     the interface."""
     app = FastAPI(title="volcal", version="1", summary="Calibration service of one machine.")
+    problems.install(app)
     add_endpoints(app)
     return app.openapi()
 

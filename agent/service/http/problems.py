@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from http import HTTPStatus
 from typing import Any
 
@@ -75,7 +76,10 @@ def answer(problem: Problem, headers: dict[str, str] | None = None) -> JSONRespo
 
 
 def install(app: FastAPI) -> None:
-    """Install in the HTTP application the handlers that turn every error of a request into a problem document."""
+    """Install in the HTTP application the handlers that turn every error of a request into a problem document, and state
+    the media type of these documents in the OpenAPI document."""
+    # FastAPI's own way to extend its document
+    app.openapi = _with_media_type(app.openapi)  # type: ignore[method-assign]
 
     @app.exception_handler(errors.VolcalError)
     def volcal_error(_: Request, error: errors.VolcalError) -> JSONResponse:
@@ -103,6 +107,23 @@ def install(app: FastAPI) -> None:
         return answer(problem, {"Connection": "close"})
 
 
+def _with_media_type(describe: Callable[[], dict[str, Any]]) -> Callable[[], dict[str, Any]]:
+    """Return a function with the OpenAPI document of `describe`, in which problem documents have their media type.
+    FastAPI gives all JSON responses of a route the same one."""
+
+    def described() -> dict[str, Any]:
+        document = describe()
+        for path in document["paths"].values():
+            for operation in path.values():
+                for status in DOCUMENTED:
+                    content = operation["responses"].get(str(status), {}).get("content", {})
+                    if "application/json" in content:
+                        content[MEDIA_TYPE] = content.pop("application/json")
+        return document
+
+    return described
+
+
 def _first_of(error: RequestValidationError) -> Problem:
     first: dict[str, Any] = dict(error.errors()[0])
     key = ".".join(str(part) for part in first["loc"] if part != "body")
@@ -119,6 +140,7 @@ def _first_of(error: RequestValidationError) -> Problem:
 
 
 DOCUMENTED: dict[int | str, dict[str, Any]] = {
-    "4XX": {"model": Problem, "description": "Problem document: cause, location and remedy"}
+    "4XX": {"model": Problem, "description": "Problem document: cause, location and remedy"},
+    503: {"model": Problem, "description": "Problem document: a device or the journal fails, or too many requests"},
 }
 """Value of the argument `responses` of the routes, which documents their problem documents."""

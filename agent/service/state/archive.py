@@ -114,6 +114,8 @@ class Archive:
             return [_table(row) for row in reader.latest_tables(limit)]
 
     def _reading(self) -> AbstractContextManager[JournalReader]:
+        if not has_journal(self.directory):
+            raise UnknownRun("there is no run yet", hint="the journal is created by the first run")
         return open_journal(self.directory, JournalFailed)
 
     def _summary(self, reader: JournalReader, counts: RunCounts) -> Document:

@@ -1,0 +1,1 @@
+"""Trial of the HTTP interface against its own OpenAPI document."""
