@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup run test quick long-forms check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming foreign linuxcnc grbl faults crash-points power-cuts fuzz gcode part-programs schema reference figures deb deb-test clean
+.PHONY: setup run test quick long-forms check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming foreign linuxcnc grbl faults crash-points power-cuts fuzz fuzz-guided http-interface gcode part-programs schema reference figures deb deb-test clean
 
 setup: $(STAMP)
 
@@ -75,6 +75,14 @@ plans: setup
 SECONDS ?= 10
 fuzz: setup
 	$(BIN)/python -m campaigns.fuzz 1000000 $(SEED) $(SECONDS)
+
+# Inputs developed along the branches of each decoder, as long as it has SECONDS.
+fuzz-guided: setup
+	$(BIN)/python -m campaigns.fuzz.guided --inputs 1000000 --seed $(SEED) --seconds $(SECONDS)
+
+# Requests that are generated from the OpenAPI document of the service, at a service with a simulated machine.
+http-interface: setup
+	$(BIN)/python -m campaigns.http_interface --seed $(SEED)
 
 bad-plans: setup
 	$(BIN)/python -m campaigns.bad_plans

@@ -10,6 +10,7 @@ from datetime import datetime
 from typing import Any
 
 from agent.history.schema import RUNS, StoredRun, utc_time
+from agent.history.stored_rows import damage_of_history
 
 COLUMNS = tuple(column.key for column in RUNS.columns if column.key != "digest")
 
@@ -27,7 +28,7 @@ def run_document(run: StoredRun, *, whole: bool = True) -> dict[str, Any]:
         ]
         document["temperatures_c"] = {t.sensor: [t.lowest, t.mean, t.highest] for t in run.temperatures}
         document["decisions"] = [
-            {"at": _plain(d.at), "kind": d.kind, "record": json.loads(d.record)} for d in run.decisions
+            {"at": _plain(d.at), "kind": d.kind, "record": _record(d.record)} for d in run.decisions
         ]
     return document
 
@@ -52,6 +53,12 @@ def as_csv(runs: Sequence[StoredRun]) -> str:
 
 def as_json(runs: Sequence[StoredRun]) -> str:
     return json.dumps({"runs": [run_document(run) for run in runs]}, allow_nan=False, indent=1) + "\n"
+
+
+def _record(text: str) -> object:
+    with damage_of_history():
+        record: object = json.loads(text)
+        return record
 
 
 def _plain(value: object) -> object:

@@ -45,11 +45,12 @@ from agent.history.schema import (
     StoredTemperature,
     utc_time,
 )
+from agent.history.stored_rows import checked_rows, damage_of_history
 from drivers.errors import ConfigurationError, LinkLost
 
 _LOCK = 7_283_001
 """Key of the PostgreSQL advisory lock that is held while the tables are created or their version is checked."""
-_CHILDREN: Mapping[str, tuple[Table, type, str]] = {
+_CHILDREN: Mapping[str, tuple[Table, type[Any], str]] = {
     "parameters": (PARAMETERS, StoredParameter, "place"),
     "temperatures": (TEMPERATURES, StoredTemperature, "sensor"),
     "decisions": (DECISIONS, StoredDecision, "place"),
@@ -78,7 +79,7 @@ class HistoryStore:
 
     def __init__(self, address: DatabaseAddress) -> None:
         self.address = address
-        with self._translated_errors():
+        with self._read_errors():
             self._engine = _engine(address)
             self._prepare()
 
@@ -143,14 +144,14 @@ class HistoryStore:
         if only is not None:
             query = query.where(RUNS.c.run_id.in_(only))
         query = query.order_by(RUNS.c.started.desc(), RUNS.c.run_id.desc()).limit(last)
-        with self._translated_errors(), self._engine.connect() as connection:
-            found = [StoredRun(*row) for row in connection.execute(query)][::-1]
+        with self._read_errors(), self._engine.connect() as connection:
+            found = checked_rows(StoredRun, connection.execute(query))[::-1]
             if whole:
                 _add_children(connection, query, found)
         return found
 
     def _read(self, query: Select[*tuple[Any, ...]]) -> Sequence[Row[*tuple[Any, ...]]]:
-        with self._translated_errors(), self._engine.connect() as connection:
+        with self._read_errors(), self._engine.connect() as connection:
             return connection.execute(query).all()
 
     def _prepare(self) -> None:
@@ -171,6 +172,12 @@ class HistoryStore:
                 database=self.address.text,
                 hint="install the newer version of volcal here" if found > SCHEMA_VERSION else "name a new database",
             )
+
+    @contextmanager
+    def _read_errors(self) -> Iterator[None]:
+        """Convert the errors of a reading: those of the database, and values that were not stored so."""
+        with damage_of_history(database=self.address.text), self._translated_errors():
+            yield
 
     @contextmanager
     def _translated_errors(self) -> Iterator[None]:
@@ -227,10 +234,11 @@ def _add_children(connection: Connection, query: Select[Any], runs: Sequence[Sto
     for name, (table, row_type, order) in _CHILDREN.items():
         of_run = (table.c.machine == found.c.machine) & (table.c.run_id == found.c.run_id)
         lists = {key: getattr(run, name) for key, run in by_key.items()}
-        for row in connection.execute(select(table).join(found, of_run).order_by(table.c[order])).all():
-            rows = lists.get((row[0], row[1]))  # machine and run_id
+        read = connection.execute(select(table).join(found, of_run).order_by(table.c[order])).all()
+        for row in checked_rows(row_type, read):
+            rows = lists.get((row.machine, row.run_id))
             if rows is not None:  # None if another process has stored the run since
-                rows.append(row_type(*row))
+                rows.append(row)
 
 
 def _engine(address: DatabaseAddress) -> Engine:

@@ -3,8 +3,8 @@ tree, what took too long, and how much the memory grew.
 
 python -m campaigns.fuzz [COUNT] [SEED] [SECONDS]
 
-COUNT inputs are tried per decoder, for journals, which are read in a dozen ways, a tenth of them. SEED selects other mutations. With SECONDS, no decoder
-takes longer than this many s of wall time, and the numbers say how many inputs it had.
+COUNT inputs are tried per decoder, less for databases, which are read in a dozen ways. SEED selects other mutations.
+With SECONDS, no decoder takes longer than this many s of wall time, and the numbers say how many inputs it had.
 """
 
 from __future__ import annotations

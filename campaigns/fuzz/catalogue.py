@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from campaigns.fuzz.device_decoders import device_decoders
 from campaigns.fuzz.file_decoders import estimate_decoder, file_decoders
-from campaigns.fuzz.journal_decoder import journal_decoder, run_for_journal
+from campaigns.fuzz.journal_decoder import history_decoder, journal_decoder, run_for_journal
 from campaigns.fuzz.trial import Decoder
 from campaigns.fuzz.wire_decoders import wire_decoders
 
@@ -19,8 +19,9 @@ def quick_decoders() -> Iterator[Decoder]:
 
 
 def decoders() -> Iterator[Decoder]:
-    """Yield all decoders. Those of the journal and of the estimate come last: a short run is carried out for them."""
+    """Yield all decoders. Those of the files of a run come last: a short run is carried out for them."""
     yield from quick_decoders()
-    journal, estimate = run_for_journal()
-    yield estimate_decoder(estimate)
-    yield journal_decoder(journal)
+    files = run_for_journal()
+    yield estimate_decoder(files.estimate)
+    yield history_decoder(files.history)
+    yield journal_decoder(files.journal)

@@ -8,6 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from agent.planning.new_machine.fields import parse_travels
@@ -23,11 +24,16 @@ from drivers.linuxcnc.installation.ini_file import IniFile
 from drivers.modbus_cnc.codec import NumberFormat
 from drivers.modbus_cnc.codes import MAJOR_VERSION, PROTOCOL
 from drivers.modbus_cnc.registers import BlockLayouts
+from drivers.modbus_cnc.session import ModbusSession
+from drivers.modbus_cnc.settings import ModbusCncSettings
+from drivers.modbus_cnc.store import BLOCK_BYTES, BankReader, crc32, data_blocks, table_bytes, table_descriptor
+from drivers.roles import TableImage
 from drivers.serial_cnc.tape.transfer import decode, encode
 from simulators.wire.grbl.blocks import BlockError, BlockParser, WorkOffsets
 from twin.artefact.position_set import parse_position_set
 from twin.machine.kinematic_chain import parse_chain
 
+MAX_NODES = 1000
 UNIT = 1
 WHERE = {"device": "cnc", "link": "fuzz"}
 READ_REQUEST = bytes.fromhex("03 03E8 0002")
@@ -62,6 +68,7 @@ def device_decoders() -> Iterator[Decoder]:
     for numbers in (NumberFormat("float64"), NumberFormat("float64", word_order="low-first")):
         layouts = BlockLayouts(numbers)
         yield Decoder(f"status registers ({numbers.word_order})", [_status(layouts)], _status_decoder(layouts))
+        yield Decoder(f"bank ({numbers.word_order})", [_bank(layouts)], _bank_decoder(numbers))
     frames = [build_frame(UNIT, READ_ANSWER), build_frame(UNIT, EXCEPTION_ANSWER)]
     yield Decoder("Modbus RTU frame", frames[:1], _rtu)
     yield Decoder("Modbus RTU frame with valid CRC", [READ_ANSWER], lambda data: _rtu(build_frame(UNIT, data)))
@@ -95,6 +102,40 @@ def _status_decoder(layouts: BlockLayouts) -> Callable[[bytes], object]:
     """Return a decoder of status blocks. The link returns as many bytes as were requested, whatever the answer was."""
     size = 2 * layouts.status.size
     return lambda data: layouts.decode_status(data[:size].ljust(size, b"\0"), WHERE, 1000)
+
+
+def _bank(layouts: BlockLayouts) -> bytes:
+    """Return the descriptor and the blocks of a good table, one after the other."""
+    counts = np.arange(81, dtype=np.int32).reshape(3, 3, 3, 3)
+    table = TableImage((0.0, 0.0, 0.0), (100.0, 100.0, 100.0), 1e-4, counts)
+    data = table_bytes(table)
+    descriptor = layouts.descriptor.pack(table_descriptor(1, table, crc32(data)))
+    return descriptor.ljust(BLOCK_BYTES, b"\0") + b"".join(map(layouts.block.reordered, data_blocks(data)))
+
+
+class _BankLink:
+    """Link whose read window shows the blocks of a bank; behind the last one it shows zeros."""
+
+    where = WHERE
+    reconnection = None
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+
+    def exchange(self, _: int, selector: bytes, *__: int, idempotent: bool) -> bytes:
+        assert idempotent
+        first = BLOCK_BYTES * int.from_bytes(selector[2:], "big")
+        return selector + self._data[first : first + BLOCK_BYTES].ljust(BLOCK_BYTES, b"\0")
+
+
+def _bank_decoder(numbers: NumberFormat) -> Callable[[bytes], object]:
+    settings = ModbusCncSettings(host="127.0.0.1", word_order=numbers.word_order)
+
+    def decode(data: bytes) -> object:
+        link: Any = _BankLink(data)
+        return BankReader(ModbusSession(link, VirtualClock(), settings), MAX_NODES).read(1)
+
+    return decode
 
 
 class _EndingPort:

@@ -1,4 +1,4 @@
-"""Decoder of journals: everything that pages, reports, history and resumption read of one."""
+"""Decoders of journals and of the history: everything that pages, reports and resumption read of one."""
 
 from __future__ import annotations
 
@@ -7,27 +7,46 @@ from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+from sqlalchemy import URL
 
 from agent.execution.journal_copy import copy_journal
 from agent.execution.journal_reader import open_journal
 from agent.execution.journal_schema import FILE_NAME
 from agent.execution.replay_log import read_replay_log
 from agent.execution.run_record import read_record, read_steps, run_heads, run_ids
-from agent.history.run_row import run_rows
+from agent.history.cached_trends import CachedTrends
+from agent.history.database_url import DatabaseAddress
+from agent.history.export import as_csv, as_json
+from agent.history.metrics import metrics_text
+from agent.history.overview import alarms_of
+from agent.history.run_row import machine_name, run_rows
+from agent.history.store import HistoryStore
+from agent.history.sync import sync
 from agent.runs.origin import read_origin
 from agent.runs.reconcile import has_compensation_record, unproved_table
 from agent.runs.reference_state import full_calibration_need, read_reference
 from agent.runs.unfinished_run import unfinished_run
 from agent.service.state.archive import Archive
 from agent.service.state.journal_state import JournalState
+from agent.settings.history import HistorySettings
 from campaigns.fuzz.trial import Decoder
 from campaigns.resume.case import prepare_case
 from drivers.errors import VolcalError
 from twin.errors import TwinError
 
 
-def run_for_journal() -> tuple[bytes, str]:
-    """Carry out a short simulated run, and return its journal as one file and its estimate file."""
+class RunFiles(NamedTuple):
+    """Files of a short run: its journal and the history as SQLite files, and the text of its estimate file."""
+
+    journal: bytes
+    history: bytes
+    estimate: str
+
+
+def run_for_journal() -> RunFiles:
+    """Carry out a short simulated run, and return its files."""
     with TemporaryDirectory(prefix="volcal-fuzz-") as folder:
         settings, machine = prepare_case(Path(folder))
         state = Path(folder) / "state"
@@ -38,12 +57,46 @@ def run_for_journal() -> tuple[bytes, str]:
             connection.execute("VACUUM")
         with open_journal(state) as reader:
             estimate = reader.last_estimate(1)
-        return path.read_bytes(), estimate or ""
+        return RunFiles(path.read_bytes(), _history(state), estimate or "")
+
+
+def _history(state: Path) -> bytes:
+    """Return the history of the runs in the state directory `state`."""
+    path = state / "history.sqlite"
+    (head,) = run_heads(state)
+    with closing(HistoryStore(_address(path, machine_name(head.settings)))) as store:
+        sync(state, store)
+    return path.read_bytes()
+
+
+def _address(path: Path, machine: str) -> DatabaseAddress:
+    return DatabaseAddress(URL.create("sqlite", database=str(path)), machine, timeout_s=1.0)
 
 
 def journal_decoder(journal: bytes) -> Decoder:
     # One input is read in a dozen ways, and the good one takes half a second.
     return Decoder("journal (SQLite)", [journal], read_everything, cpu_bound_s=12.0, share=0.1)
+
+
+def history_decoder(history: bytes) -> Decoder:
+    with TemporaryDirectory(prefix="volcal-fuzz-") as folder:
+        path = Path(folder) / "history.sqlite"
+        path.write_bytes(history)
+        with closing(HistoryStore(_address(path, ""))) as store:
+            (machine,) = store.machines()
+    return Decoder("history (SQLite)", [history], lambda data: _read_history(data, machine), cpu_bound_s=5.0, share=0.3)
+
+
+def _read_history(data: bytes, machine: str) -> object:
+    """Read a history as the page, the metrics and the commands do."""
+    with TemporaryDirectory(prefix="volcal-fuzz-") as folder:
+        path = Path(folder) / "history.sqlite"
+        path.write_bytes(data)
+        with closing(HistoryStore(_address(path, machine))) as store:
+            store.digests(machine), store.ends(machine), store.machines()
+            runs = store.runs(machine)
+            trends = CachedTrends().refreshed(store, HistorySettings()).trends
+        return metrics_text(machine, runs, trends, {}), as_csv(runs), as_json(runs), alarms_of(trends)
 
 
 def read_everything(data: bytes) -> None:

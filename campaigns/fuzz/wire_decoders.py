@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections.abc import Callable, Iterator, Sequence
+from http import HTTPStatus
 from typing import Any
 
+import can
 import canopen
+from starlette.datastructures import Headers
+from starlette.exceptions import HTTPException
+from starlette.types import Message, Receive, Scope, Send
 
 from agent.service.gateway.frames import HEADER, FramingError, body_length
 from agent.service.gateway.frames import answer_request as answer_panel
+from agent.service.http.events import EVENT_NUMBER
+from agent.service.http.guard import Guard
 from campaigns.fuzz.trial import Decoder
+from drivers.canopen_mount.emergency import emergency_text
 from drivers.canopen_mount.node import DriveNode
 from drivers.canopen_mount.objects import STATUSWORD
 from drivers.errors import LinkTimeout, ProtocolError
@@ -31,6 +40,10 @@ GRBL_LINES = (
     b"<Idle|MPos:0.000,0.000,0.000|FS:0,0|WCO:0.000,0.000,0.000>", b"<Hold:0|WPos:1.0,2.0,3.0|Ov:100,100,100|Pn:P>",
     b"[PRB:1.000,2.000,3.000:1]", b"[VER:1.1h.20190825:]", b"[OPT:V,15,128]", b"[GC:G0 G54 G17 G21 G90]",
 )  # fmt: skip
+HEADERS = (
+    b"host: 127.0.0.1:8080\norigin: http://127.0.0.1:8080\ncontent-length: 12\nlast-event-id: 17",
+    b"host: [::1]:8080\nauthorization: Bearer 0123456789abcdef",
+)
 SNAPSHOT: dict[str, Any] = {
     "position": [0.0, 0.0, 0.0], "probed": [0.0, 0.0, 0.0], "eoffset": [0.0, 0.0, 0.0], "probe": False, "state": "done",
     "joint_faults": [], "on_limit": [], "program_offset": [0.0, 0.0, 0.0], "modal": [54.0], "errors": [], "pins": [],
@@ -55,6 +68,8 @@ def wire_decoders() -> Iterator[Decoder]:
     )
     yield Decoder("command to socketcand", [b"605 8 40 41 60 00 00 00 00 00"], _text(_socketcand), _VALUE)
     yield Decoder("line of a GRBL controller", GRBL_LINES, _grbl_line, (GarbledLineError,))
+    yield Decoder("emergency message of a drive", [bytes.fromhex("10 82 11 00 00 00 00 00")], _emergency)
+    yield Decoder("headers of an HTTP request", HEADERS, _headers, (HTTPException,))
     bridge = json.dumps({"id": 1, "ok": SNAPSHOT}).encode()
     yield Decoder("line of the LinuxCNC bridge", [bridge], _bridge_line)
 
@@ -188,6 +203,10 @@ class _NetworkLink:
     def check(self) -> None:
         """Do nothing: this link is never lost."""
 
+    @property
+    def listeners(self) -> Sequence[can.Listener]:
+        return self._network.listeners
+
     def adapter_status_text(self) -> str:
         return ""
 
@@ -196,6 +215,44 @@ def _drive_answer(data: bytes) -> object:
     link: Any = _NetworkLink(data)
     dictionary = canopen.ObjectDictionary()  # type: ignore[no-untyped-call]
     return DriveNode(link, NODE, "azimuth", dictionary, sdo_timeout_s=0.01).read(STATUSWORD)
+
+
+def _emergency(data: bytes) -> object:
+    """Receive the frame as the thread of the bus does, which logs an error and goes on, and read the codes."""
+    link: Any = _NetworkLink(b"")
+    dictionary = canopen.ObjectDictionary()  # type: ignore[no-untyped-call]
+    node = DriveNode(link, NODE, "azimuth", dictionary, sdo_timeout_s=0.01)
+    frame = can.Message(arbitration_id=0x80 + NODE, data=data[:8], is_extended_id=False)
+    for listener in link.listeners:
+        listener.on_message_received(frame)
+    return [emergency_text(code) for code in node.take_emergencies()]
+
+
+async def _accepted(scope: Scope, receive: Receive, send: Send) -> None:
+    del scope, receive
+    await send({"type": "http.response.start", "status": 200, "headers": []})
+    await send({"type": "http.response.body", "body": b""})
+
+
+def _headers(data: bytes) -> object:
+    """Give the headers, one a line, to the access check, which answers each request; a refusal is an HTTPException."""
+    lines = [line.partition(b":") for line in data.split(b"\n")]
+    headers = [(name.strip().lower(), value.strip()) for name, _, value in lines]
+    scope = {"type": "http", "path": "/api/status", "method": "GET", "headers": headers}
+    statuses: list[int] = []
+
+    async def send(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            statuses.append(message["status"])
+
+    async def receive() -> Message:
+        return {"type": "http.request", "body": b""}
+
+    asyncio.run(Guard(_accepted, ())(scope, receive, send))
+    (status,) = statuses
+    if status >= HTTPStatus.BAD_REQUEST:
+        raise HTTPException(status)
+    return EVENT_NUMBER.fullmatch(Headers(scope=scope).get("last-event-id", ""))
 
 
 def _drive_request(data: bytes) -> object:

@@ -83,7 +83,7 @@ class ModbusStore:
 
     def __init__(self, session: ModbusSession, limits: ControllerLimits) -> None:
         self._session = session
-        self._reader = BankReader(session)
+        self._reader = BankReader(session, limits.max_total_nodes)
         self._limits = StoreLimits(
             banks=tuple(range(1, limits.banks + 1)),
             max_nodes=limits.max_nodes,
@@ -246,14 +246,15 @@ class ModbusStore:
 
 
 class BankReader:
-    """Reader of the banks of a controller that contain a complete compensation table.
+    """Reader of the banks of a controller that contain a complete compensation table, of `max_total_nodes` at most.
 
     Block 0 of a bank is the descriptor of the table (its grid and its CRC-32); the further blocks contain its
     corrections.
     """
 
-    def __init__(self, session: ModbusSession) -> None:
+    def __init__(self, session: ModbusSession, max_total_nodes: int) -> None:
         self._session = session
+        self._max_total_nodes = max_total_nodes
 
     def read(self, bank: int) -> tuple[TableImage, TableDescriptor]:
         """Read a complete bank, and return its compensation table and the descriptor of this table.
@@ -302,7 +303,9 @@ class BankReader:
 
     def _require_sound(self, bank: int, descriptor: TableDescriptor) -> None:
         numbers = (*descriptor.origin, *descriptor.step, descriptor.resolution)
-        sound = all(map(math.isfinite, numbers)) and min(descriptor.nodes) >= 1
+        # A table of more nodes than the controller has would be read for ever.
+        fits = min(descriptor.nodes) >= 1 and math.prod(descriptor.nodes) <= self._max_total_nodes
+        sound = all(map(math.isfinite, numbers)) and fits
         if descriptor.bank != bank or not sound:
             raise self._protocol_error(f"the descriptor of bank {bank} is invalid: {descriptor}")
 

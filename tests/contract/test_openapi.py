@@ -29,3 +29,9 @@ def test_the_reference_page_names_every_path() -> None:
     text = COMMITTED.with_name("http.md").read_text(encoding="utf-8")
     parts = [path.rpartition("/")[2] for path in openapi_document()["paths"]]
     assert [part for part in parts if part not in text] == []
+
+
+def test_problem_documents_have_their_media_type() -> None:
+    for path, entry in openapi_document()["paths"].items():
+        for operation in entry.values():
+            assert list(operation["responses"]["4XX"]["content"]) == ["application/problem+json"], path

@@ -19,7 +19,7 @@ from agent.service.http.queries import status_now
 router = APIRouter(prefix="/api", tags=["reading"], responses=DOCUMENTED)
 
 RECONNECT_AFTER_MS = 2000
-_EVENT_NUMBER = re.compile(r"[0-9]{1,18}")
+EVENT_NUMBER = re.compile(r"[0-9]{1,18}")
 
 
 @router.get("/events", response_class=EventSourceResponse)
@@ -32,7 +32,7 @@ async def events(
     If the request has the header `Last-Event-ID`, the events after that number are sent before new events. A comment
     every 15 s keeps the connection alive.
     """
-    known = _EVENT_NUMBER.fullmatch(last_event_id or "")
+    known = EVENT_NUMBER.fullmatch(last_event_id or "")
     seen = int(known[0]) if known else app_state.event_log.last_number
     yield _status(app_state)
     loop, news = asyncio.get_running_loop(), asyncio.Event()

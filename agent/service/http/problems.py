@@ -21,6 +21,7 @@ from drivers import errors
 log = structlog.get_logger()
 
 MEDIA_TYPE = "application/problem+json"
+PROBLEM_SCHEMA = {"$ref": "#/components/schemas/Problem"}
 
 STATUS: dict[type[errors.VolcalError], HTTPStatus] = {
     errors.VolcalError: HTTPStatus.INTERNAL_SERVER_ERROR,
@@ -76,8 +77,8 @@ def answer(problem: Problem, headers: dict[str, str] | None = None) -> JSONRespo
 
 
 def install(app: FastAPI) -> None:
-    """Install in the HTTP application the handlers that turn every error of a request into a problem document, and state
-    the media type of these documents in the OpenAPI document."""
+    """Install in the HTTP application the handlers that turn every error of a request into a problem document. The
+    OpenAPI document then states the media type of these documents."""
     # FastAPI's own way to extend its document
     app.openapi = _with_media_type(app.openapi)  # type: ignore[method-assign]
 
@@ -109,16 +110,14 @@ def install(app: FastAPI) -> None:
 
 def _with_media_type(describe: Callable[[], dict[str, Any]]) -> Callable[[], dict[str, Any]]:
     """Return a function with the OpenAPI document of `describe`, in which problem documents have their media type.
-    FastAPI gives all JSON responses of a route the same one."""
+    FastAPI gives all responses of a route the same one."""
 
     def described() -> dict[str, Any]:
         document = describe()
         for path in document["paths"].values():
             for operation in path.values():
-                for status in DOCUMENTED:
-                    content = operation["responses"].get(str(status), {}).get("content", {})
-                    if "application/json" in content:
-                        content[MEDIA_TYPE] = content.pop("application/json")
+                for status in map(str, DOCUMENTED):
+                    operation["responses"][status]["content"] = {MEDIA_TYPE: {"schema": PROBLEM_SCHEMA}}
         return document
 
     return described

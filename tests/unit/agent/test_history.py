@@ -211,6 +211,27 @@ class TestPlace:
         with pytest.raises(ConfigurationError, match="version 2"):
             HistoryStore(store.address)
 
+    @pytest.mark.parametrize(
+        "damage",
+        [
+            "UPDATE volcal_runs SET balls = 'many'",
+            "UPDATE volcal_runs SET ve_before_um = x'ff00'",
+            "UPDATE volcal_runs SET ve_before_um = 9e999",
+            "UPDATE volcal_runs SET started = 'yesterday'",
+            "UPDATE volcal_parameters SET value = 'large'",
+            "UPDATE volcal_decisions SET record = '{'",
+        ],
+    )
+    def test_a_damaged_value_is_refused_in_words(self, state: Path, store: HistoryStore, damage: str) -> None:
+        journaled(state, 0, 3.0)
+        sync(state, store)
+        assert as_json(store.runs())
+        with closing(sqlite3.connect(state / "history.sqlite")) as database, database:
+            assert database.execute(damage).rowcount > 0
+        with pytest.raises(InputError, match="the history database is damaged") as told:
+            as_json(store.runs())
+        assert "volcal history sync" in told.value.hint
+
     def test_a_password_in_the_url_is_refused(self, state: Path) -> None:
         with pytest.raises(ConfigurationError, match="contains a password") as told:
             database_address(settings(state, url="postgresql://me:secret@plant/volcal"))

@@ -15,7 +15,9 @@ from modbus_rig import opened
 
 from drivers.clock import VirtualClock
 from drivers.errors import ChecksumMismatch, LinkLost, ProtocolError, ReadBackMismatch, StoreError
+from drivers.modbus_cnc.codec import NumberFormat
 from drivers.modbus_cnc.device import ModbusCnc
+from drivers.modbus_cnc.registers import BlockLayouts
 from drivers.modbus_cnc.store import block_count, data_blocks, table_bytes
 from drivers.roles import Activation, TableImage
 
@@ -90,6 +92,22 @@ def test_a_damaged_active_bank_is_an_error(cnc: ModbusCnc, plc: FakePlc) -> None
     plc.registers[1038], plc.registers[1046] = 1, 3
     with pytest.raises(StoreError, match="active bank 1 holds no complete table"):
         cnc.read_table(1)
+
+
+def test_a_descriptor_with_more_nodes_than_the_controller_has_is_refused_at_once(cnc: ModbusCnc, plc: FakePlc) -> None:
+    """Its blocks would be read for years."""
+    nodes_at = 9 + 4 + 2 * BlockLayouts(NumberFormat("float64")).descriptor.offset("nodes")
+
+    def claim_many_nodes(_: bytes, answer: bytes) -> bytes:
+        shows_descriptor = answer[7] == 23 and answer[9:13] == bytes([0, 1, 0, 0])
+        return answer[:nodes_at] + b"\xff" * 6 + answer[nodes_at + 6 :] if shows_descriptor else answer
+
+    cnc.stage(1, table_of((2, 2, 2)))
+    plc.disturb = claim_many_nodes
+    before = len(plc.requests)
+    with pytest.raises(ProtocolError, match=r"the descriptor of bank 1 is invalid: .*65535, 65535, 65535"):
+        cnc.read_table(1)
+    assert len(plc.requests) - before < 10
 
 
 def test_the_active_bank_is_never_written(cnc: ModbusCnc, plc: FakePlc) -> None:

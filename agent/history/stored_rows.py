@@ -1,0 +1,56 @@
+"""Rows that were read from the history database, checked against the types of their class.
+
+A disk or a foreign program can damage single bytes of a database, which SQLite does not notice: it returns a text where
+a number was stored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import MISSING, fields
+from functools import cache
+from typing import Any, TypeVar, get_type_hints
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+from drivers.errors import InputError, VolcalError
+
+T = TypeVar("T")
+
+_DAMAGE = (ValueError, LookupError, TypeError, ArithmeticError)
+"""Errors of the conversion of a column, and of the use of a value, that was not stored so."""
+
+
+def checked_rows(row_type: type[T], rows: Iterable[Iterable[Any]]) -> list[T]:
+    """Return an instance of the dataclass `row_type` for each row, whose values are in the order of its fields.
+
+    Raise ValidationError, a ValueError, if a value has another type, or if a number is not finite.
+    """
+    checked = _adapter(row_type).validate_python([tuple(row) for row in rows])
+    return [row_type(*row) for row in checked]
+
+
+@contextmanager
+def damage_of_history(**where: str) -> Iterator[None]:
+    """Raise InputError if a value that was read from the history in the `with` block cannot be used. `where` says which
+    database it is."""
+    try:
+        yield
+    except VolcalError:
+        raise
+    except _DAMAGE as error:
+        reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)
+        raise InputError(
+            f"the history database is damaged: a value cannot be used ({reason})",
+            **where,
+            hint="move it away, or name a new one in `history.url`; `volcal history sync` copies all runs again",
+        ) from error
+
+
+@cache
+def _adapter(row_type: type) -> TypeAdapter[list[tuple[Any, ...]]]:
+    hints = get_type_hints(row_type)
+    columns = [hints[one.name] for one in fields(row_type) if one.default_factory is MISSING]
+    types: Any = list[tuple[tuple(columns)]]  # type: ignore[misc]  known when the program runs
+    return TypeAdapter(types, config=ConfigDict(strict=True, allow_inf_nan=False))
