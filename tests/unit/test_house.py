@@ -24,6 +24,7 @@ SMALL = {
         "drivers.serial_cnc.plugin",
     ),
     "one module a command, found by its name": ("agent.cli.service_commands.serve",),
+    "loaded by its name, after the packages that are observed": ("campaigns.fuzz.catalogue", "campaigns.fuzz.planted"),
     "one module a table format": ("twin.compensation.controllers.gcode_csv", "twin.compensation.controllers.neutral"),
     "a program of its own": ("agent.service.http.description", "campaigns.fortnight.serving"),
     "a role, apart from the processes that play it": ("agent.reports.renderer",),
