@@ -22,23 +22,38 @@ import logging
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 import structlog
 from numpy.random import Generator
+from numpy.typing import NDArray
 
 from campaigns.requests.trial import ACTIONS, Count, RequestTrial
 
 STEPS_PER_TRIAL = 500
-RARE = {"abort": 0.25, "end_service": 0.15, "cut_or_connect": 0.4, "go_to_the_next_state": 0.25, "reload": 0.3}
-"""Weights of the actions that are chosen less often than the others. Runs would else hardly come beyond their first
-touches."""
-FREQUENT = {"go_on": 4.0, "resume": 2.0, "start": 0.6, "restore_table": 0.2}
+AT_REST = {"start": 2.0, "end_service": 0.2, "cut_or_connect": 0.4, "go_on": 0.1, "go_to_the_next_state": 0.1}
+"""Weights of the actions while no run is in progress, where they are not 1."""
+RUNNING = {
+    **{"abort": 0.06, "end_service": 0.03, "cut_or_connect": 0.3, "go_on": 2.0, "go_to_the_next_state": 0.15},
+    **{"resume": 1.5, "start": 0.2, "restore_table": 0.1},
+}
+"""Weights while a run is in progress. With more aborts, runs would hardly come beyond their first touches."""
+NAMES = list(ACTIONS)
 MAX_LISTED = 20
 S_PER_MIN = 60.0
+
+
+def shares_of(weights: Mapping[str, float]) -> NDArray[np.float64]:
+    """Return the probability of each of `NAMES`, an array of their number; the weight of a name that is not among
+    `weights` is 1."""
+    drawn = np.array([weights.get(name, 1.0) for name in NAMES])
+    return drawn / drawn.sum()
+
+
+AT_REST_SHARES, RUNNING_SHARES = shares_of(AT_REST), shares_of(RUNNING)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -61,13 +76,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def play(rng: Generator, steps: int, count: Count) -> None:
     """Carry out one trial of so many steps, and add what happened to `count`."""
-    names = list(ACTIONS)
-    weights = np.array([{**RARE, **FREQUENT}.get(name, 1.0) for name in names])
     with tempfile.TemporaryDirectory(prefix="volcal-requests-") as directory:
         trial = RequestTrial(Path(directory), count)
         try:
             for _ in range(steps):
-                trial.perform(str(rng.choice(names, p=weights / weights.sum())), lambda n: int(rng.integers(n)))
+                shares = AT_REST_SHARES if trial.at_rest else RUNNING_SHARES
+                trial.perform(str(rng.choice(NAMES, p=shares)), lambda n: int(rng.integers(n)))
         finally:
             trial.close()
 

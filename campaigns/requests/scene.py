@@ -175,6 +175,7 @@ class Scene:
         document["devices"]["person"] = {"driver": CONSOLE}
         document["roles"]["operator"] = "person"
         document["state_directory"] = directory / "state"
+        document["machine"] = _without_deflection(settings.machine, directory)
         self.settings = Settings.model_validate(document)
         document["stations"]["standing_at"] = None
         self.settings_that_ask = Settings.model_validate(document)
@@ -249,6 +250,15 @@ class Scene:
                 self.turnstile.pass_through(at_state=True)
 
         return dataclasses.replace(hooks, announce=announce, write_files=False)
+
+
+def _without_deflection(machine: Path, directory: Path) -> Path:
+    """Write a copy of a machine file without its table of deflections, whose reading takes most of the time of a
+    refused start, and return its path."""
+    text, _ = machine.read_text(encoding="utf-8").split("[deflection]")
+    copy = directory / "machine.toml"
+    copy.write_text(text, encoding="utf-8")
+    return copy
 
 
 @contextmanager

@@ -177,6 +177,11 @@ class RequestTrial:
     # ------------------------------------------------------------------ judgement
 
     @property
+    def at_rest(self) -> bool:
+        """True if no run is in progress."""
+        return not self._running
+
+    @property
     def _status(self) -> Status:
         return self.scene.owner.status()
 
@@ -238,14 +243,19 @@ class RequestTrial:
             self._violated(f"the axes moved by {moved:g} mm after the end {status.state.value}")
 
     def _prove(self, status: Status) -> None:
-        """Add the active table to the proved ones if the journal has a measured proof of it."""
-        row = self._journal_row()
-        with open_journal(self.scene.state_directory) as reader:
-            proof = None if row is None else reader.decision(row.run, "verification")
-        if status.kind == "restore" or (proof is not None and proof.record.get("accepted")):
+        """Add the active table to the proved ones if a restoration was asked for, or if the journal has what was touched
+        with this table active, the acceptance, and the table itself."""
+        row, (bank, digest) = self._journal_row(), self.scene.table
+        proved = status.kind == "restore"
+        if row is not None and not proved:
+            with open_journal(self.scene.state_directory) as reader:
+                verified = any(touch.key.startswith("verify/") for touch in reader.touches(row.run))
+                staged = [(one.bank, one.crc32) for one in reader.tables(row.run) if one.role == "staged"]
+                proved = verified and reader.has_decision(row.run, ("accepted",)) and (bank, digest) in staged
+        if proved:
             self._proved.add(self.scene.table)
         else:
-            self._violated(f"{status.kind} completed with a table that was not proved: {proof}")
+            self._violated(f"{status.kind} completed with table {bank}, {digest}, which was not proved")
 
     def check(self) -> None:
         """Compare status, events, journal and machine with each other."""
