@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup run test quick check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming foreign linuxcnc grbl faults crash-points power-cuts gcode part-programs schema reference figures deb deb-test clean
+.PHONY: setup run test quick long-forms check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming foreign linuxcnc grbl faults crash-points power-cuts fuzz gcode part-programs schema reference figures deb deb-test clean
 
 setup: $(STAMP)
 
@@ -28,6 +28,11 @@ test: setup
 quick: setup
 	$(BIN)/python -m pytest -m "not slow" --hypothesis-profile=quick --numprocesses auto --dist loadfile \
 		tests/unit tests/contract tests/property tests/golden
+
+# Property and statistical tests with many more examples and machines than the check tries. An hour of CPU time.
+long-forms: setup
+	$(BIN)/python -m pytest --hypothesis-profile=long --numprocesses auto --dist loadfile \
+		tests/property/test_small_machines.py tests/property/test_design_minutes.py tests/truth/test_verified_steps.py
 
 lint: setup
 	$(BIN)/ruff check .
@@ -65,6 +70,11 @@ COUNT ?= 10000
 SEED ?= 1
 plans: setup
 	$(BIN)/python -m campaigns.plans --count $(COUNT) --seed $(SEED) --workers 2
+
+# Mutated inputs for every decoder; SECONDS bounds each decoder in s of wall time.
+SECONDS ?= 10
+fuzz: setup
+	$(BIN)/python -m campaigns.fuzz 1000000 $(SEED) $(SECONDS)
 
 bad-plans: setup
 	$(BIN)/python -m campaigns.bad_plans

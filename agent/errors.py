@@ -10,6 +10,7 @@
         ├── GateRefused           the estimate must not become a table
         ├── ForecastRefused       a gate is expected to refuse a run with these settings  exit code 7
         ├── MeasurementFault      a ball, a probe check or a drift is out of its limits
+        │   ├── ThermometerFault  the artefact's temperature is missing or jumps; the run can be resumed
         │   ├── ArtefactMoved     balls are no longer where they were before an interruption
         │   └── PlacementLost     an artefact placed by hand no longer stands where it was measured
         ├── PlanDiverged          recorded steps do not match the rebuilt plan
@@ -49,6 +50,11 @@ class ForecastRefused(RunError):
 
 class MeasurementFault(RunError):
     pass
+
+
+class ThermometerFault(MeasurementFault):
+    """Error for a thermometer of the artefact that gives no reading or one that the artefact cannot have, also when it
+    is read again. A step of reading raises it and then has no result, so that a resumed run reads again."""
 
 
 class ArtefactMoved(MeasurementFault):

@@ -226,6 +226,16 @@ class RestorableLink(Protocol):
 
 
 @runtime_checkable
+class LookOnlyDevice(Protocol):
+    """Device that can be read without any effect on the connected equipment."""
+
+    def open_to_look(self) -> None:
+        """Connect as `Device.open` does, but write nothing. Until the device is closed, it refuses whatever would write
+        to the connected equipment."""
+        ...
+
+
+@runtime_checkable
 class ImpairableDevice(Protocol):
     """Device that still works although a part of its monitoring is impaired, and says so."""
 

@@ -24,6 +24,10 @@ BEGUN_RUNS = RUN + (
     "OR EXISTS (SELECT 1 FROM origins WHERE origins.run = runs.run AND begun_s IS NOT NULL) "
     "ORDER BY run DESC"
 )
+ADDED_AFTER_END = (  # every run writes its outcome just after its end
+    "SELECT run FROM decisions JOIN runs USING (run) WHERE at > ended AND decisions.kind <> 'outcome' "
+    "UNION SELECT run FROM tables JOIN runs USING (run) WHERE at > ended"
+)
 HAS_STEP = "SELECT 1 FROM steps WHERE run = :run AND kind IN (SELECT value FROM json_each(:kinds)) LIMIT 1"
 ORIGIN = "SELECT run, run_id, settings, record, begun_s, begun_at FROM runs JOIN origins USING (run) WHERE run = :run"
 STEP = "SELECT ordinal, key, kind, detail, begun, finished, result, error FROM steps "

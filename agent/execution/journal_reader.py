@@ -170,6 +170,12 @@ class JournalReader:
         )
         return tuple(RunCounts(RunRow(*run), balls, touches) for *run, balls, touches in rows)
 
+    def added_after_end(self) -> frozenset[int]:
+        """Return the numbers of the runs to which decisions or tables were added after their end, for example because
+        the next start took back a table that was never proved. The outcome, which every run writes just after its end,
+        does not count."""
+        return frozenset(self._rows(int, queries.ADDED_AFTER_END))
+
     def settings_text(self, run: int) -> str:
         """Return the settings with which the run number `run` was started, as JSON text."""
         return str(self._value("SELECT settings FROM runs WHERE run = :run", run=run))

@@ -275,10 +275,12 @@ class Rig:
         self.last_motion.set_position((x, y, z))
         return x, y, z
 
-    def _read_temperatures(self, _: s.ReadTemperatures) -> dict[str, float]:
+    def _read_temperatures(self, step: s.ReadTemperatures) -> dict[str, float]:
         """Return the readings in °C. A thermometer that gives no number, such as one with a broken wire, gives no
         reading."""
-        return {name: value for name, value in self.thermometer.temperatures_c().items() if math.isfinite(value)}
+        found = {name: value for name, value in self.thermometer.temperatures_c().items() if math.isfinite(value)}
+        step.require(found, self.clock.now())
+        return found
 
     def _check_permissions(self, _: s.CheckPermissions) -> None:
         status = self.machine.status()

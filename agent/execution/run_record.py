@@ -96,10 +96,12 @@ class RunRecord(_StoredSettings):
 
 @dataclass(frozen=True)
 class RunHead(_StoredSettings):
-    """Journal row of a run and the JSON text of its settings, without the steps and results of the run."""
+    """Journal row of a run and the JSON text of its settings, without the steps and results of the run.
+    `added_after_end` is True if decisions or tables were added to it after its end."""
 
     row: RunRow
     settings_text: str
+    added_after_end: bool
 
 
 @dataclass(frozen=True)
@@ -129,7 +131,8 @@ def run_heads(directory: Path) -> tuple[RunHead, ...]:
     """
     _require_journal(directory, _NO_RUN)
     with open_journal(directory) as reader:
-        return tuple(RunHead(row, reader.settings_text(row.run)) for row in reader.runs())
+        late = reader.added_after_end()
+        return tuple(RunHead(row, reader.settings_text(row.run), row.run in late) for row in reader.runs())
 
 
 def read_record(directory: Path, run_id: str) -> RunRecord:

@@ -97,11 +97,20 @@ class OrientTo:
     elevation_deg: float
 
 
+def accept_readings(_: Mapping[str, float], __: float) -> None:
+    """Accept all readings of the thermometers."""
+
+
 @dataclass(frozen=True, slots=True)
 class ReadTemperatures:
-    """Step: reading of all temperature sensors. The result maps sensor names to temperatures in °C."""
+    """Step: reading of all temperature sensors. The result maps sensor names to temperatures in °C.
+
+    `require` receives this mapping and the machine time in s, and raises an error if the readings cannot be right. The
+    step then has no result, and a run that is resumed reads again.
+    """
 
     key: str
+    require: Callable[[Mapping[str, float], float], None] = accept_readings
 
 
 @dataclass(frozen=True, slots=True)

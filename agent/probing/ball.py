@@ -84,13 +84,14 @@ def measure_ball(
 
     If the sphere fitted to the touches exceeds a limit, the touches that may have caused this are repeated first, then
     all touches of the ball. If the ball is found far from its expected centre, it is measured again about the centre
-    found, because all balls must be touched along the same surface normals. If the touches contradict each other by
-    more than that, as those of a ball that is moved between them, it is measured again with the long search distances
-    and the feed for a ball whose location is not known. If `search.guarded_feed_mm_per_s` is set, because the location
-    of the ball is not known, the ball is first located by touches that stay away from its holder.
+    found, because all balls must be touched along the same surface normals. This is done at rapid traverse if the
+    touches determine the radius and agree with each other. Otherwise, the ball may have been moved between its touches:
+    whatever is repeated is approached with the long search distances and the feed for a ball whose location is not
+    known. If `search.guarded_feed_mm_per_s` is set, because the location of the ball is not known, the ball is first
+    located by touches that stay away from its holder.
 
-    After the first touch that meets nothing (a miss), the longer distances of `probing.wide_search` are used. If a
-    touch with these distances misses too, the ball is given up. If the ball is given up or all repeats fail,
+    After the first touch that meets nothing (a miss), these longer distances and that feed are used, too. If a touch
+    with these distances misses, the ball is given up. If the ball is given up or all repeats fail,
     MeasurementFault is raised if `probing.stop_on_failure` is set; otherwise, the result is a LostBall.
     """
     ball = _Ball(key, predicted_mm, probing, search, path)
@@ -143,7 +144,10 @@ class _Ball:
             yield Record(f"{key}/again", "event", self._note(self.reason, last=True))
             return
         yield Record(f"{key}/found", "event", {"ball": self._key, "off_mm": fit.centre - self._centre})
-        self._centre, self._search = fit.centre, probing.narrow_search
+        # Touches that lie on no sphere of this ball may have met one that moves: its location is still not known.
+        wrong_mm = max(fit.form, abs(fit.radius - probing.contact_mm))
+        self._centre = fit.centre
+        self._search = probing.narrow_search if wrong_mm <= probing.recentre_mm else probing.locating_search
 
     def attempt(self, number: int, *, last: bool) -> Plan[FittedBall | None]:
         """Make all touches once; return None if the ball must be measured again or is given up."""
@@ -157,37 +161,43 @@ class _Ball:
             latched.append(touched)
         points = np.array(latched)
         fit = self._fit_corrected(points)
-        if fit is not None and fit.form > self._probing.recentre_mm:
-            yield from self._search_again(key, fit, last)
-            return None
-        gate = None if fit is None or self._distance_mm(fit) > self._probing.recentre_mm else self._gate(fit)
+        gate = None if fit is None else self._gate(fit)
         if fit is not None and gate is not None:
+            self._search = self._probing.locating_search
             fit, points, gate = yield from self._repeat_doubtful(key, fit, points, gate)
         if fit is None:
+            # Touches that lie on no sphere, or of which one met nothing when it was repeated, may have met a ball that
+            # moves. Their centre is known no better than before.
+            self._search, self.small = self._probing.locating_search, None
             yield Record(f"{key}/again", "event", self._note(self.reason, last))
             return None
         return (yield from self._judge(key, fit, points, gate, number, last))
 
-    def _search_again(self, key: str, fit: SphereFit, last: bool) -> Plan[None]:
-        """Repeat the ball as one whose location is not known, because the touches contradict each other: it may have
-        moved between them, and then it is near none of the places where they saw it."""
-        self._centre, self._search, self.small = fit.centre, self._probing.locating_search, None
-        self.reason = f"its touches contradict each other by {fit.form:.3f} mm"
-        yield Record(f"{key}/again", "event", self._note(self.reason, last))
-
     def _judge(
         self, key: str, fit: SphereFit, points: Vector, gate: FailedGate | None, number: int, last: bool
     ) -> Plan[FittedBall | None]:
-        distance_mm = self._distance_mm(fit)
-        self._centre, self._search = fit.centre, self._probing.narrow_search
-        deficit_mm = self._probing.expected_radius_mm - fit.radius
-        is_small = gate is not None and gate.gate == RADIUS and deficit_mm > 0.0
+        """Return the ball if it is as expected; otherwise choose the centre and the search of its repetition.
+
+        The tip approaches the repetition at rapid traverse only if the touches prove where the ball is: they determine
+        more than its centre, and agree. Otherwise, the ball may have moved between them, and may be near none of the
+        places where they met it.
+        """
+        probing, distance_mm = self._probing, self._distance_mm(fit)
+        is_proved = gate is None and probing.determines_radius
+        self._centre, self._search = fit.centre, probing.narrow_search if is_proved else probing.locating_search
+        deficit_mm = probing.expected_radius_mm - fit.radius
+        contradicts = fit.form > probing.recentre_mm
+        is_small = gate is not None and gate.gate == RADIUS and deficit_mm > 0.0 and not contradicts
         self.small = SmallSphere(fit.centre, deficit_mm) if is_small else None
+        if contradicts:
+            self.reason = f"its touches contradict each other by {fit.form:.3f} mm"
+            yield Record(f"{key}/again", "event", self._note(self.reason, last))
+            return None
         if gate is not None:
             self.reason = gate.text
             yield Record(f"{key}/gate", "event", gate.payload(self._key, self._next(last)))
             return None
-        if distance_mm > self._probing.recentre_mm:
+        if distance_mm > probing.recentre_mm:
             self.reason = f"found {distance_mm:.3f} mm from where it was expected, {number + 1} times"
             yield Record(f"{key}/again", "event", self._note(self.reason, last))
             return None
@@ -228,7 +238,8 @@ class _Ball:
     def _note_miss(self, key: str, index: int, last: bool) -> Plan[None]:
         self.reason, self.small = f"touch {index} met nothing", None
         self.given_up = self._search.beyond_mm >= self._probing.wide_search.beyond_mm
-        self._search = self._probing.wide_search
+        # The ball is farther away than the search was long, and no one knows in which direction.
+        self._search = self._probing.locating_search
         then = self._next(last) if self.given_up or last else "search wider"
         yield Record(f"{key}/again", "event", {"ball": self._key, "reason": self.reason, "then": then})
 

@@ -23,8 +23,8 @@ from agent.probing.paths.retreat import Retreat
 from agent.probing.probing_parameters import ProbingParameters, Search
 from agent.probing.station_change import StationChange
 from agent.thermal.position_drift import DriftLimits, judge_drift
-from agent.thermal.readings import Conditions, read_conditions
-from agent.thermal.settling import SettlingRules, wait_until_settled
+from agent.thermal.readings import Conditions
+from agent.thermal.settling import SettlingRules, read_conditions, wait_until_settled
 from twin.arrays import Array
 from twin.artefact.pose_alignment import align_to_end_balls, align_to_third_ball
 from twin.artefact.position_set import Position
@@ -165,6 +165,7 @@ class _Measuring:
         self._conditions = conditions
         self._consistency = rules.consistency
         self._repeats_first = rules.repeat_first_ball
+        self._search = rules.probing.narrow_search
         self.last_mm = task.predicted_mm[task.balls[0]]
         self.found: list[MeasuredBall] = []
         self.again: MeasuredBall | None = None
@@ -189,7 +190,9 @@ class _Measuring:
         """Measure one ball. It is recorded in the journal at once, unless it can be checked only together with the
         other balls of the position."""
         key = self._key(ball)
-        result = yield from self._approach_and_measure(key, ball, predicted, search or self._probing.narrow_search)
+        result = yield from self._approach_and_measure(key, ball, predicted, search or self._search)
+        if search is None:
+            self._search = self._search_after(result, predicted)
         if isinstance(result, LostBall):
             yield from self._lose(ball, result.reason)
             return result
@@ -198,6 +201,16 @@ class _Measuring:
         if self._consistency is None:
             yield Record(f"{key}/centre", "ball", measured.record(key))
         return result
+
+    def _search_after(self, result: FittedBall | LostBall, predicted: Array) -> Search:
+        """Return the search for the ball after this one. If this ball was lost or is not where the balls before place
+        it, the artefact may have been moved, and with it the next ball: that one is located first."""
+        probing = self._probing
+        as_expected = (
+            isinstance(result, FittedBall)
+            and float(np.linalg.norm(result.centre_mm - predicted)) <= probing.recentre_mm
+        )
+        return probing.narrow_search if as_expected else probing.locating_search
 
     def check_consistency(self, first: int, found_first: FittedBall) -> Plan[FittedBall]:
         """Measure the balls that do not fit the others once more, and give those up that still do not fit. Return the
@@ -214,9 +227,9 @@ class _Measuring:
             key = f"{self._key(one.ball)}/once-more"
             yield Record(f"{key}/reason", "event", {"ball": one.ball, "reason": one.text, "then": "repeat the ball"})
             place = [ball.ball for ball in self.found].index(one.ball)
-            result = yield from self._approach_and_measure(
-                key, one.ball, self.found[place].found.centre_mm, self._probing.narrow_search
-            )
+            predicted = self.found[place].found.centre_mm
+            result = yield from self._approach_and_measure(key, one.ball, predicted, self._search)
+            self._search = self._search_after(result, predicted)
             if isinstance(result, LostBall):
                 del self.found[place]
                 yield from self._lose(one.ball, result.reason)
@@ -249,7 +262,7 @@ class _Measuring:
         if not self._repeats_first or all(ball.ball != first for ball in self.found):
             return np.full(3, np.nan)
         key = f"{self._key(first)}/again"
-        again = yield from self._approach_and_measure(key, first, found.centre_mm, self._probing.narrow_search)
+        again = yield from self._approach_and_measure(key, first, found.centre_mm, self._search)
         if isinstance(again, LostBall):
             yield Record(f"{key}/lost", "event", {"ball": first, "reason": again.reason})
             return np.full(3, np.nan)
@@ -259,9 +272,7 @@ class _Measuring:
         return drift
 
     def _measured(self, key: str, ball: int, found: FittedBall) -> Plan[MeasuredBall]:
-        conditions = yield from read_conditions(key, self._settling.thermometers)
-        self._settling.require_no_jump(key, self._conditions, conditions)
-        self._conditions = conditions
+        self._conditions = conditions = yield from read_conditions(key, self._settling, self._conditions)
         task = self._task
         return MeasuredBall(task.index, task.station, task.azimuth_deg, task.elevation_deg, ball, found, conditions)
 

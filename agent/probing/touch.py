@@ -61,7 +61,8 @@ class TouchPath(Protocol):
 @dataclass(frozen=True, eq=False)
 class PlainTouchPath:
     """Path along the stylus from a plane in front of the ball, perpendicular to the stylus, to the start of a touch,
-    and back to that plane. The path is free of collisions if the ball is accessible."""
+    and back to that plane. The path is free of collisions if the ball is accessible. From a ball whose location is not
+    known, the path leads back as it came."""
 
     probing: ProbingParameters
 
@@ -74,7 +75,15 @@ class PlainTouchPath:
             yield MoveTo(f"{key}/start", point(start), feed)
 
     def retract(self, key: str, touch: PlannedTouch, latched_mm: Point | None) -> Plan[None]:
-        yield MoveTo(f"{key}/back", point(before_ball(touch, self.probing)))
+        start, before = touch.start, before_ball(touch, self.probing)
+        feed = touch.search.guarded_feed_mm_per_s
+        if feed is not None and np.abs(start - before).max() > SAME_POSITION_MM:
+            # A ball whose location is not known may bulge between the contact and the plane. The tip first returns on
+            # the line on which it came, at rapid traverse: the probe is still deflected and cannot guard this move.
+            yield MoveTo(f"{key}/off", point(start))
+            yield MoveTo(f"{key}/back", point(before), feed)
+        else:
+            yield MoveTo(f"{key}/back", point(before))
 
 
 def before_ball(touch: PlannedTouch, probing: ProbingParameters) -> Vector:

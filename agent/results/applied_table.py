@@ -11,11 +11,16 @@ import numpy as np
 from agent.probing.measured_balls import Correction, no_correction
 from twin.arrays import Array
 from twin.artefact.change_test import DECISIVE_ODDS, ChangeTest, odds_text
-from twin.compensation.misread_tables import misread_tables
+from twin.compensation.misread_tables import NO_EFFECT, misread_tables
 from twin.compensation.table import CompensationTable
 
 _NAMED_BEFORE_SHARE = 100.0
 """Odds of a named mistake against an arbitrary share of the correction, before anything is measured."""
+
+_FORMER_ACTS = "the former table still acts: the controller has not activated the new one"
+_BOTH_ACT = "the former and the new table act together: the controller has not deactivated the former one"
+BANK_DOUBTED = "the bank that the controller reports as active is not the one that acts"
+"""Conclusion from a change of the balls that the new table cannot have made, however it is read."""
 
 
 @dataclass(frozen=True)
@@ -23,25 +28,38 @@ class AppliedTable:
     """Comparison of the change that a new table made with the change that it should make.
 
     `chi2_normalised` is χ² of the change per degree of freedom, and `limit` the largest value of a table that is
-    applied as written. `mistake` is the mistake of the controller that explains the change better, with its odds; it is
-    empty if the odds are not decisive.
+    applied as written. `mistake` is the mistake of the controller that explains the change better; it is empty if the
+    odds against the table as written, `odds`, are not decisive.
     """
 
     chi2_normalised: float
     limit: float
     mistake: str = ""
+    odds: str = ""
 
     @property
     def reason(self) -> str:
-        """Reason why the controller does not apply the new table as written; empty if it does."""
+        """Reason why the controller does not apply the new table as written; empty if it does.
+
+        If the bank that the controller reports does not act, no later report that the former bank is active again
+        proves it. The reason then says so, and what to do.
+        """
         if self.mistake:
-            return self.mistake
-        if self.chi2_normalised > self.limit:
-            return (
+            found = f"{self.mistake} (odds against the table as written: {self.odds})"
+        elif self.chi2_normalised > self.limit:
+            found = (
                 "the held-out positions did not change as the table should change them: normalised χ² of the change "
                 f"{self.chi2_normalised:.2f}, allowed {self.limit:.2f}"
             )
-        return ""
+        else:
+            return ""
+        if self.mistake not in ("", NO_EFFECT, _FORMER_ACTS, _BOTH_ACT):
+            return found
+        instruction = "see at the controller that the former compensation acts again"
+        return (
+            f"{found}; so {BANK_DOUBTED} or does not act as written, or the machine or the artefact has changed during "
+            f"the proof: {instruction}"
+        )
 
 
 def applied_table(
@@ -67,7 +85,7 @@ def applied_table(
     log_odds, mistake = float(odds[best]), mistakes[best][0]
     if log_odds < math.log(DECISIVE_ODDS):
         return AppliedTable(chi2, limit)
-    return AppliedTable(chi2, limit, f"{mistake} (odds against the table as written: {odds_text(log_odds)})")
+    return AppliedTable(chi2, limit, mistake, odds_text(log_odds))
 
 
 def _mistakes(table: CompensationTable, former: Correction) -> Iterator[tuple[str, Correction]]:
@@ -75,8 +93,5 @@ def _mistakes(table: CompensationTable, former: Correction) -> Iterator[tuple[st
         yield misread.mistake, misread.table.at
     if former is no_correction:
         return
-    yield "the former table still acts: the controller has not activated the new one", former
-    yield (
-        "the former and the new table act together: the controller has not deactivated the former one",
-        lambda points: former(points) + table.at(points),
-    )
+    yield _FORMER_ACTS, former
+    yield _BOTH_ACT, lambda points: former(points) + table.at(points)

@@ -143,7 +143,11 @@ def _instruction(state: CompensationState, last: LastCompensation, active: int, 
             f"run {last.run_id} ended with a table that was never proved, and neither this table nor the former one is "
             f"active: find out who activated bank {active}, or {left.at_the_controller}"
         )
-    return f"run {last.run_id} left bank {last.expected.number} active: find out who changed it, then calibrate again"
+    number = last.expected.number
+    return (
+        f"run {last.run_id} left bank {number} active: find out who changed it, then activate bank {number} at the "
+        "controller or calibrate again"
+    )
 
 
 def _state(last: LastCompensation, active: RecordedBank) -> CompensationState:

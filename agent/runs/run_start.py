@@ -4,17 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib.metadata import version
+from itertools import islice
 from pathlib import Path
 
 from agent.errors import PlanRefused
 from agent.execution.journal import Journal, RunJournal
+from agent.execution.journal_reader import open_journal
 from agent.execution.rig import Rig
 from agent.planning.job import Job
 from agent.results.decision_kinds import INPUTS
 from agent.results.journal_entries import inputs_of
 from agent.runs.planned_run import Kind, StartConditions
 from agent.runs.reconcile import has_compensation_record, reconcile
+from agent.runs.step_progress import FormerPreflight
 from drivers.clock import Clock, utc_timestamp
+
+_LATEST_RUNS = 20
+_FIRST_NOTES = 10
 
 
 def enter_in_journal(
@@ -54,6 +60,18 @@ def read_start_conditions(rig: Rig, journal: RunJournal, state_directory: Path) 
         no_homing=rig.why_no_homing(),
         homing_directions=rig.homing_directions(),
     )
+
+
+def last_preflight(state_directory: Path, kind: str) -> FormerPreflight | None:
+    """Return the preflight of the last run of the kind `kind`; None if none of the latest runs is of this kind or says
+    it."""
+    with open_journal(state_directory) as reader:
+        latest = [run for run in islice(reader.latest_begun_runs(), _LATEST_RUNS) if run.kind == kind]
+        for run in latest:
+            for note in reader.events(run.run, {"note"}, limit=_FIRST_NOTES):
+                if FormerPreflight.STEPS in note.record:
+                    return FormerPreflight.of(note.record)
+    return None
 
 
 def _require_finished_compensation(rig: Rig, state_directory: Path) -> None:

@@ -35,7 +35,7 @@ from agent.runs.reference_state import write_copy
 from agent.runs.result_files import write_results
 from agent.runs.run_context import RunContext, RunHooks, run_actions
 from agent.runs.run_forecast import RunForecast
-from agent.runs.run_start import enter_in_journal, read_start_conditions
+from agent.runs.run_start import enter_in_journal, last_preflight, read_start_conditions
 from agent.runs.step_progress import StepProgress
 from agent.settings.schema import ClockSettings
 from drivers.clock import Clock, InterruptibleClock, utc_timestamp, wall_seconds
@@ -178,17 +178,20 @@ class RunSession:
         """Plan the run from the start conditions `start`, and call the caller's hook `preflight_passed` after the
         preflight. Raises PlanRefused or UserError if the run is refused."""
         context = self._context
-        planned = self._kind.plan(self._job, start, context.supervisor.check_stop_request)
+        former = last_preflight(self._job.settings.state_directory, self._kind.name)
+        watch = self._steps.simulating(context.supervisor.check_stop_request, former)
+        planned = self._kind.plan(self._job, start, watch)
         context.hooks.preflight_passed(planned.job, planned.preflight)
         self._planned = planned
-        self._steps.begin(_forecast(planned))
         context.tracker.note(
             "preflight passed: no collision, no limit",
             machine_minutes=planned.preflight.machine_minutes,
             commands=planned.preflight.commands,
             wall_seconds=planned.preflight.wall_seconds,
             latencies=planned.job.latencies_text,
+            **self._steps.preflight.as_record(),
         )
+        self._steps.begin(_forecast(planned))
         return planned
 
     def carry_out(self, planned: PlannedRun) -> None:

@@ -22,6 +22,7 @@ RESUMABLE_FAULTS = frozenset(
         "MotionFault",
         "DeadlineExpired",
         "ArtefactMoved",
+        "ThermometerFault",
         "JournalFailed",
         "Interrupted",
     }
@@ -32,6 +33,9 @@ means that an assumption about machine, artefact or procedure is wrong.
 A motion fault may have moved the artefact. The return to the position therefore touches known balls again, and a
 position whose balls are not where they were is measured again. `GuardTripped`, a motion fault in which the probe has
 touched something, is not among these errors.
+
+A thermometer fault is one of a reading that is not used. A resumed run goes on only with a reading that agrees with
+those before it.
 """
 
 STOPPED = "Aborted"

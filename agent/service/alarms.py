@@ -103,6 +103,11 @@ _CODES: dict[type[errors.VolcalError], AlarmCode] = {
         "an artefact placed by hand no longer stands where it was found",
         "clean the ball and check that the artefact stands firmly; resume the run",
     ),
+    run_errors.ThermometerFault: AlarmCode(
+        433,
+        "a thermometer fails, or its reading has jumped",
+        "check the thermometer and its contact with the artefact; resume the run",
+    ),
     run_errors.PlanDiverged: AlarmCode(
         440, "the recorded run does not match the settings", "restore the settings of that run or start a new run"
     ),

@@ -63,12 +63,16 @@ class Client:
         `after` is the number of the last event that the caller already has. All later events are yielded, including
         events that occurred before this call.
 
-        Raise LinkLost if the service ends or the connection fails, and LinkTimeout if the service does not respond.
+        Raise LinkLost if the service ends or the connection fails, LinkTimeout if the service does not respond,
+        ProtocolError if an event cannot be read, and the error of the service if it refuses the stream.
         """
         headers = {} if after is None else {"Last-Event-ID": str(after)}
         timeout = httpx.Timeout(ANSWER_TIMEOUT_S, read=STREAM_TIMEOUT_S)
         try:
             with self._http.stream("GET", "/api/events", headers=headers, timeout=timeout) as answer:
+                if answer.is_error:
+                    answer.read()
+                    self._document(answer)
                 yield from _parse_events(answer.iter_lines())
         except httpx.TransportError as error:
             raise self._lost(error) from error
@@ -79,13 +83,19 @@ class Client:
             answer = self._http.request(method, path, json=body, headers=headers)
         except httpx.TransportError as error:
             raise self._lost(error) from error
+        return self._document(answer)
+
+    def _document(self, answer: httpx.Response) -> Document:
+        """Return the JSON object of an answer. Raise the error that a problem document describes."""
         try:
-            document: Document = answer.json()
-        except ValueError as error:
+            document = answer.json()
+        except ValueError:
+            document = None
+        if not isinstance(document, dict):
             raise ProtocolError(
                 f"the server at this address is not a volcal service (status {answer.status_code})",
                 link=str(self._http.base_url),
-            ) from error
+            )
         if answer.is_error:
             raise error_of(document)
         shown: Document = _printable(document)
@@ -159,5 +169,9 @@ def _parse_events(lines: Iterator[str]) -> Iterator[tuple[str, Document]]:
             case "data":
                 data += value.strip()
             case "" if not line and data:
-                yield kind, _printable(json.loads(data))
+                try:
+                    document = json.loads(data)
+                except ValueError as error:
+                    raise ProtocolError(f"an event of the service cannot be read: {error}") from error
+                yield kind, _printable(document)
                 kind, data = "message", ""

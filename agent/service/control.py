@@ -63,7 +63,12 @@ class Status:
     - `packml` is the ISA-TR88.00.02 name of the state.
     - `doing` is the current activity in plain words.
     - `fraction` is the completed part of the run, from 0 to 1.
-    - `minutes_left` is the remaining machine time in min, as computed by the preflight.
+    - `minutes_left` is the remaining machine time in min, as computed by the preflight; None before its end.
+    - `phase` is the phase of the run in progress: ``preflight``, one of `agent.planning.run_phases.MOVING_PHASES`, or
+      the state in which the machine does not move, such as ``identifying``; empty between runs. `phase_fraction` is its
+      completed part, from 0 to 1, and `phase_minutes_left` its remaining time in min, machine time or, in a preflight,
+      the time of the computation; None if it is not known.
+    - `simulated_steps` is the number of steps that the preflight of the run has simulated so far.
     - `ve_before_um` and `ve_now_um` are the volumetric errors (VE) without and with the compensation table, according
       to the last accepted estimate; both are in µm, after the best-fitting rigid motion is removed.
     - `may` contains the requests that are allowed now (``start``, ``hold``, ``resume``, ``abort``, ``reset``,
@@ -90,6 +95,10 @@ class Status:
     step: str = ""
     fraction: float = 0.0
     minutes_left: float | None = None
+    phase: str = ""
+    phase_fraction: float | None = None
+    phase_minutes_left: float | None = None
+    simulated_steps: int = 0
     balls: int = 0
     touches: int = 0
     ve_before_um: float | None = None

@@ -18,7 +18,8 @@ class ServiceSettings(StrictModel):
 
     An unattended start is permitted only within `hours` (local time, for example 22:00-05:30). This computer must also
     have been on for at least `warm_up_minutes`. If `idle_read_period_s` is not 0, the devices are opened and asked once
-    per this period between runs, with all that a driver does when it opens its device.
+    per this period between runs. Over Modbus this writes nothing unless the active bank is not the
+    one shown before; any other driver does what it does whenever it opens its device.
     """
 
     host: str = "127.0.0.1"
@@ -49,6 +50,15 @@ class ServiceSettings(StrictModel):
     @property
     def scheme(self) -> str:
         return "http" if self.certificate_file is None else "https"
+
+    @model_validator(mode="after")
+    def _idle_period_is_off_or_a_second(self) -> Self:
+        if 0.0 < self.idle_read_period_s < 1.0:
+            raise ValueError(
+                f"service.idle_read_period_s must be 0 (off) or at least 1 s, found {self.idle_read_period_s:g}: the "
+                "devices would be opened all the time"
+            )
+        return self
 
     @model_validator(mode="after")
     def _open_only_with_a_certificate(self) -> Self:

@@ -8,7 +8,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from agent.errors import MeasurementFault
-from agent.execution.steps import Plan, ReadClock, ReadTemperatures
 from twin.units import REFERENCE_TEMPERATURE_C
 
 ARTEFACT, MACHINE = "artefact", "machine"
@@ -64,10 +63,9 @@ class Conditions:
         return self.artefact_c - REFERENCE_TEMPERATURE_C
 
 
-def read_conditions(key: str, thermometers: Thermometers) -> Plan[Conditions]:
-    """Read the temperatures of artefact and machine, and the run's clock. The machine does not move."""
-    readings_c = yield ReadTemperatures(f"{key}/temperatures")
-    instant_s = yield ReadClock(f"{key}/instant")
+def conditions_of(thermometers: Thermometers, readings_c: Mapping[str, float], instant_s: float) -> Conditions:
+    """Return the temperatures of artefact and machine that the readings in °C at the machine time `instant_s` give.
+    Raises MeasurementFault if a thermometer of the artefact gives no reading."""
     return Conditions(instant_s, thermometers.artefact_c(readings_c), thermometers.machine_c(readings_c))
 
 

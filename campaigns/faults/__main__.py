@@ -30,7 +30,7 @@ from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # must be set before numpy is imported
 
-from campaigns.faults.night_record import INVARIANTS, NightRecord, left_to_a_person, violations
+from campaigns.faults.night_record import INVARIANTS, NightRecord, cannot_be_seen, left_to_a_person, violations
 from campaigns.faults.nights import NIGHTS_PER_MACHINE, Share, machine_seed, play_nights, play_share
 from campaigns.faults.planned_night import plan_night
 
@@ -100,7 +100,7 @@ def summarise(records: Sequence[NightRecord]) -> dict[str, Any]:
         "by_kind": dict(sorted(Counter(night.kind for night in records).items())),
         "ended": dict(sorted(Counter(night.state for night in records).items())),
         "before_the_fault": sum(not night.reached for night in records),
-        "with_a_second_fault": sum(_second_begun(night) for night in records),
+        "with_a_second_fault": sum(night.last.second_begun for night in records),
         "resumed": sum(night.later is not None for night in records),
         "resumed_twice": sum(night.last.resumed > 1 for night in records),
         "resumed_to": dict(sorted(Counter(night.last.state for night in records if night.later is not None).items())),
@@ -108,12 +108,9 @@ def summarise(records: Sequence[NightRecord]) -> dict[str, Any]:
         "accepted": sum(night.last.accepted for night in records),
         "left_to_the_morning": sum(night.active != night.former and not night.accepted for night in records),
         "left_to_a_person": sum(left_to_a_person(night.last) for night in records),
+        "cannot_be_seen": dict(Counter(night.last.unseen for night in records if cannot_be_seen(night.last))),
         "violations": {name: violated[name] for name in INVARIANTS},
     }
-
-
-def _second_begun(night: NightRecord) -> bool:
-    return bool(night.second) and ";" in night.size
 
 
 if __name__ == "__main__":

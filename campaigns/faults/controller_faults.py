@@ -65,6 +65,7 @@ def wrong_bank(scene: FaultScene, rng: Generator) -> None:
     def activate(real: Any, bank: int) -> None:
         asked[:] = [bank]
         real(OTHER_BANK)
+        scene.deceived.update([bank] if lies else [])
         if not lasting:
             end()
 
@@ -84,6 +85,7 @@ def no_effect(scene: FaultScene, rng: Generator) -> None:
 
     def activate(_: Any, bank: int) -> None:
         asked[:] = [bank]
+        scene.deceived.update([bank] if lies else [])
 
     def active_bank(real: Any) -> int:
         return asked[0] if lies and asked else int(real())

@@ -50,7 +50,8 @@ class FaultInjector:
     runs: int = 0
     over: bool = False
     """True from the end of a run on: no fault begins any more."""
-    _second_begun: bool = False
+    second_begun: bool = False
+    """True once the second fault of the night has begun, in the run or in its resumption."""
     _unacknowledged: str = ""
 
     def rig(self, clock: Clock, settings: Settings) -> Rig:
@@ -104,8 +105,8 @@ class FaultInjector:
             clock.at(clock.now() + second.delay_s, lambda: self._begin_second(second))
 
     def _begin_second(self, second: SecondFault) -> None:
-        if not self.over and not self._second_begun:
-            self._second_begun = True
+        if not self.over and not self.second_begun:
+            self.second_begun = True
             self._begin(second.kind, 2)
 
     def _begin(self, kind: str, number: int) -> None:

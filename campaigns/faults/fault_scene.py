@@ -58,7 +58,8 @@ class FaultScene:
 
     `size` describes the size of the last fault in words. `stopped_s` is the first instant of a fault after which the
     axes must stand still, and `aborted_s` that of an abort by request, both in s of machine time. `repairs` are
-    functions that remove the faults in the morning, in the order of the faults. `shared` and `proxy` are the world with
+    functions that remove the faults in the morning, in the order of the faults. `deceived` are the banks whose
+    activations the controller has reported without making them active. `shared` and `proxy` are the world with
     its lock and the proxy of a night on a real wire, and `connect` makes the devices of a rig. `axes_linked` is True if
     the axes are behind the proxy, so that they must stand still once it lets nothing pass.
     """
@@ -79,6 +80,7 @@ class FaultScene:
     aborted_s: float | None = None
     journal_writable: bool = True
     repairs: list[Callable[[], object]] = field(default_factory=list)
+    deceived: set[int] = field(default_factory=set)
 
     @property
     def machine(self) -> FaultyDevice:
@@ -113,6 +115,7 @@ class FaultScene:
         """Prepare for another run, at the present instant of the world; what disturbed the one before is over."""
         self.clock = WatchedClock(self.world.now)
         self.stopped_s = self.aborted_s = None
+        self.deceived.clear()
 
     def rig(self, clock: Clock, settings: Settings) -> Rig:
         """Return a rig of which one faulty device plays every role, except for those that devices on a real link

@@ -14,6 +14,7 @@ from agent.execution import steps as s
 from agent.execution.encoding import table_digest
 from agent.execution.journal_schema import FILE_NAME
 from agent.execution.rig import Rig
+from agent.results.applied_table import BANK_DOUBTED
 from agent.runs.reconcile import reconcile
 from agent.runs.reference_state import ACTIVATING_DECISIONS
 from agent.runs.resume.abandon import abandon
@@ -34,7 +35,8 @@ SETTLE_S = 60.0
 ABORT_WITHIN_S = 0.06
 """Machine time in s after which an abort must be in effect: one part of a wait, and rounding."""
 ACTING = frozenset(kind.__name__ for kind in s.STEPS_WITH_EFFECT)
-UNRESTORED = "could not be made active again"
+UNRESTORED = ("could not be made active again", BANK_DOUBTED)
+"""Words of which the reason of a run that has not restored the former table must contain one."""
 
 
 class Start(Enum):
@@ -82,6 +84,7 @@ def record_run(run: EndedRun, night: PlannedNight) -> NightRecord:
         group=night.group,
         kind=night.kind,
         second="" if night.second is None else night.second.kind,
+        second_begun=injector.second_begun,
         at_s=round(injector.begun[0][0], 3) if injector.begun else 0.0,
         size="; ".join([*injector.sizes, *([at_step] if at_step else [])]),
         resumed=injector.runs - 1,
@@ -96,7 +99,8 @@ def record_run(run: EndedRun, night: PlannedNight) -> NightRecord:
         complete_table=active == 0 or active in controller.banks,
         former_intact=former is not None and former.same_as(FORMER_TABLE),
         written=tuple(injector.written),
-        told_unrestored=UNRESTORED in told["reason"],
+        told_unrestored=any(words in told["reason"] for words in UNRESTORED),
+        unseen=_unseen(scene),
         killed=run.killed,
         acknowledged_touches=len(injector.acknowledged if run.killed else injector.touches),
         acknowledged_balls=injector.balls,
@@ -109,6 +113,17 @@ def record_run(run: EndedRun, night: PlannedNight) -> NightRecord:
         **told,
         **_of_table(scene.world.controller.active_bank, scene),
     )
+
+
+def _unseen(scene: FaultScene) -> str:
+    """Return why nothing could show the run that the former table does not act; empty if something could."""
+    journal = scene.journal()
+    runs = journal.runs()
+    if not runs or FORMER_BANK not in scene.deceived:
+        return ""
+    if scene.deceived != {FORMER_BANK} and journal.has_decision(runs[-1].run, ("proof",)):
+        return ""  # the proof has measured that the first activation was reported wrongly
+    return "the controller reports the former bank as active, and nothing is measured after its activation"
 
 
 def _of_table(active: int, scene: FaultScene) -> dict[str, Any]:

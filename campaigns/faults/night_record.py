@@ -8,6 +8,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from agent.results.run_outcome import Decision
+
 FINAL_STATES = ("complete", "refused", "aborted", "faulted", "written, not active")
 ENDED_EARLY = ("aborted", "faulted")
 MOVED_MM = 1e-6
@@ -17,13 +19,13 @@ MOVED_MM = 1e-6
 class NightRecord:
     """Facts of one night, or of its resumed run. Instants are in s of machine time, true errors in µm.
 
-    `kind` is the kind of the first fault of the night, `second` that of its second one or empty; `faulted` is True if a
-    fault has begun in this run. `resumed` is how many times the run had been resumed, and `later` the record of the
-    next resumption. `resume_refused` is the answer to a resumption that was refused. `killed` is True for a run
-    whose process was killed, which therefore has no end of its own. `must_resume` is True for a run
-    that has measured and that can be resumed after its faults, `must_end_well` for a resumed run that nothing disturbs
-    any more. `repeated` are the keys of touches that were measured again although they were
-    acknowledged and not discarded.
+    `kind` is the kind of the first fault of the night, `second` that of its second one or empty; `second_begun` is True
+    if that one has begun, in this run or before. `faulted` is True if a fault has begun in this run. `resumed` is how
+    many times the run had been resumed, and `later` the record of the next resumption. `resume_refused` is the answer
+    to a resumption that was refused. `killed` is True for a run whose process was killed, which therefore has no end of
+    its own. `must_resume` is True for a run that has measured and that can be resumed after its faults, `must_end_well`
+    for a resumed run that nothing disturbs any more. `repeated` are the keys of touches that were measured again
+    although they were acknowledged and not discarded.
 
     `stopped_s` is the instant of a fault after which nothing may move; `stands_from_s` is the instant from which the
     axes stood still until the end of the night. `moved_after_end_mm` is the travel of the axes in mm after the end of
@@ -34,7 +36,7 @@ class NightRecord:
     empty. `reason` is the reason of the end as the journal has it, or as the run told it if the journal could not be
     written. `reasons` are words of which the reason must contain one; it is empty if the fault may be unnoticed. `step`
     is the step that the error of the run names, and `place` the device or link. `raised` is an exception that left the
-    run.
+    run. `unseen` is why nothing could show the run that the former table does not act; it is empty if something could.
     """
 
     seed: int
@@ -61,6 +63,7 @@ class NightRecord:
     before_um: float | None = None
     after_um: float | None = None
     told_unrestored: bool = False
+    unseen: str = ""
     acknowledged_touches: int = 0
     acknowledged_balls: int = 0
     journaled_touches: int = 0
@@ -73,6 +76,7 @@ class NightRecord:
     faulted: bool = True
     needs_place: bool = True
     second: str = ""
+    second_begun: bool = False
     resumed: int = 0
     resume_refused: str = ""
     killed: bool = False
@@ -115,15 +119,24 @@ LEFT_TO_A_PERSON = "at the controller"
 
 
 def left_to_a_person(night: NightRecord) -> bool:
-    """Return True if a table of unknown origin acts even in the morning, and both the run and the new start of volcal
-    have said so and what to do.
+    """Return True if a table of unknown origin acts even in the morning, and both the run, if it could see it, and the
+    new start of volcal have said so and what to do.
 
     A controller that activates another bank than it is asked for can leave this; volcal does not overrule a bank that a
     person may have chosen.
     """
     acts = night.active if night.morning is None else night.morning
     strange = acts not in (night.former, *night.written)
-    return strange and night.told_unrestored and LEFT_TO_A_PERSON in night.morning_says
+    told = night.told_unrestored or bool(night.unseen)
+    return strange and told and LEFT_TO_A_PERSON in night.morning_says
+
+
+def cannot_be_seen(night: NightRecord) -> bool:
+    """Return True if the former table does not act at the end, and neither a reading nor a measurement of the run could
+    show that. The next start of volcal must have said so, or have made the former table active again."""
+    if not night.unseen or night.active == night.former:
+        return False
+    return night.morning in (None, night.former) or LEFT_TO_A_PERSON in night.morning_says
 
 
 def _collided(night: NightRecord) -> str:
@@ -162,7 +175,7 @@ def _unproved(night: NightRecord) -> str:
 
 
 def _unrestored(night: NightRecord) -> str:
-    if night.accepted or night.active == night.former:
+    if night.accepted or night.active == night.former or cannot_be_seen(night):
         return ""
     return "" if night.told_unrestored else f"table {night.active:08x} acts at the end and the reason does not say so"
 
@@ -210,11 +223,18 @@ def _measured_twice(night: NightRecord) -> str:
     )
 
 
+def _is_confirmed(night: NightRecord) -> bool:
+    """Return True if the run has kept the former table because a new one would not be better, or not provably so."""
+    kept = night.state == "complete" and night.active == night.former
+    return kept and night.reason.startswith(Decision.CONFIRMED.value)
+
+
 def _not_resumed(night: NightRecord) -> str:
     unfinished = not night.journal_closed if night.killed else night.state == "faulted"
     if night.must_resume and unfinished and night.resume_refused:
         return f"the run could not be resumed: {night.resume_refused}"
-    if night.must_end_well and not night.accepted and night.state != "refused":
+    decided = night.accepted or night.state == "refused" or _is_confirmed(night)
+    if night.must_end_well and not decided:
         return f"nothing disturbed the resumed run, and it ended {night.state}: {night.reason}"
     return ""
 

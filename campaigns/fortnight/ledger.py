@@ -11,7 +11,7 @@ from agent.execution.journal_reader import open_journal
 from agent.runs.reference_state import read_reference
 from campaigns.fortnight.evening import Evening, ExpectedRun
 from campaigns.fortnight.plant import FortnightPlant
-from campaigns.fortnight.service_process import ServiceHost
+from campaigns.fortnight.service_process import STATUS_POLL_S, ServiceHost, wait_for
 
 Row = dict[str, Any]
 
@@ -69,12 +69,12 @@ def _against(expected: Sequence[tuple[Evening, ExpectedRun]], rows: Sequence[Row
 
 
 def active_table_is_accepted(host: ServiceHost, plant: FortnightPlant) -> bool:
-    """Return True if the controller's active bank holds the compensation table that was accepted last, and the service
-    reports this bank as active.
+    """Return True if the controller's active bank holds the compensation table that was accepted last. Wait until the
+    service reports this bank as active: after a run that ended with an error, it has to read it first.
     """
     last = read_reference(host.state)
-    accepted = last is not None and last.table.crc32 == plant.active_crc32
-    return accepted and host.status()["active_bank"] == plant.active_bank
+    wait_for(lambda: host.status()["active_bank"] == plant.active_bank, "the active bank", STATUS_POLL_S)
+    return last is not None and last.table.crc32 == plant.active_crc32
 
 
 def leftover_processes(directory: Path) -> list[str]:

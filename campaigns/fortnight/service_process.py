@@ -9,7 +9,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any, TypeVar
@@ -130,7 +130,21 @@ class ServiceHost:
     def _ended(self) -> bool:
         return self._service is not None and self._service.poll() is not None
 
+    @property
+    def pid(self) -> int:
+        """Process identity of the running service."""
+        assert self._service is not None
+        return self._service.pid
+
     # ------------------------------------------------------------------ clients
+
+    def read(self, paths: Sequence[str]) -> None:
+        """Read the `paths` to their ends, and the first event of a stream that is then dropped."""
+        assert self._http is not None
+        for path in paths:
+            self._http.get(path).raise_for_status()
+        with self._http.stream("GET", "/api/events") as stream:
+            next(stream.iter_lines())
 
     def status(self) -> Document:
         return self.get("/api/status")

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from statistics import median
 
 from drivers.clock import wall_seconds
-from drivers.errors import ConfigurationError, LinkError, LinkLost, LinkTimeout, ProtocolError
+from drivers.errors import CommandRejected, ConfigurationError, LinkError, LinkLost, LinkTimeout, ProtocolError
 from drivers.links.modbus_transport import EXCEPTION_BIT, READ, WRITE, WRITE_AND_READ, DamagedFrame, Transport
 from drivers.links.reconnection import LINK_FAILURES, Reconnection
 
@@ -99,6 +99,8 @@ class ModbusLink:
         self._combined = combined
         self.reconnection = reconnection
         self._in_use = False
+        self.look_only = False
+        """True if the link was opened to read only."""
         self._loss: LinkLost | None = None
         self._carried_out: set[bytes] = set()
         """Function, addresses and counts of the requests that the unit has carried out."""
@@ -107,9 +109,10 @@ class ModbusLink:
     def connected(self) -> bool:
         return self.transport.connected
 
-    def open(self) -> None:
+    def open(self, *, look_only: bool = False) -> None:
+        """Connect. If `look_only` is True, all writes are refused until the link is closed."""
         self.transport.open()
-        self._in_use, self._loss = True, None
+        self._in_use, self._loss, self.look_only = True, None, look_only
 
     def close(self) -> None:
         self._in_use = False
@@ -164,6 +167,13 @@ class ModbusLink:
         return self.transport.wire_time_s(write) + self.transport.wire_time_s(struct.pack(">BHH", READ, 0, read))
 
     def _writable_count(self, register: int, data: bytes) -> int:
+        if self.look_only:
+            raise CommandRejected(
+                "refused to write over a link that was opened only to read",
+                hint="close the device and open it for a run",
+                register=register,
+                **self.where,
+            )
         count = len(data) // 2
         if not any(register in block and register + count - 1 in block for block in self._writable):
             raise ConfigurationError(

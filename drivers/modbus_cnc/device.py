@@ -64,8 +64,14 @@ class ModbusCnc(ControllerDevice["_Parts"]):
         super().__init__(self._session.where)
 
     def open(self) -> None:
+        self._connect(look_only=False)
+
+    def open_to_look(self) -> None:
+        self._connect(look_only=True)
+
+    def _connect(self, *, look_only: bool) -> None:
         try:
-            self._session.open()
+            self._session.open(look_only=look_only)
             limits = self._session.read_limits()
             self._require_sound(limits)
         except DeviceError:
@@ -131,9 +137,9 @@ class ModbusCnc(ControllerDevice["_Parts"]):
 
     def stop(self) -> None:
         """Send the command STOP to the controller, over a new connection if the present one is lost or does not answer.
-        Does nothing if the device is closed.
+        Does nothing if the device is closed, or open only to look: then none of its commands can be under way.
         """
-        if self._parts is not None:
+        if self._parts is not None and not self._session.link.look_only:
             self._parts.motion.stop()
 
     def probe_status(self) -> ProbeStatus:

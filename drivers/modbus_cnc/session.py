@@ -61,19 +61,20 @@ class ModbusSession:
         self._acknowledged = 0
         self._interruptions_at_send = 0
 
-    def open(self) -> StatusImage:
+    def open(self, *, look_only: bool = False) -> StatusImage:
         """Connect, verify protocol and version of the register map, and continue from the sequence number that the
         controller last acknowledged.
 
         If the controller is in a fault only because the heartbeat of an earlier session was lost, the fault is cleared.
+        If `look_only` is True, nothing is written, so the fault remains, and all commands are refused.
         """
         with self.reconnection.suspended():
-            self.link.open()
+            self.link.open(look_only=look_only)
             status = self.read_status_unchecked()
         self._sequence, self._unacknowledged = status.acknowledge, 0
         self._acknowledged = status.acknowledge
         self._results = {status.acknowledge: status.result}
-        if status.state is MotionState.FAULT and status.fault_code == FAULT_HEARTBEAT_LOST:
+        if not look_only and status.state is MotionState.FAULT and status.fault_code == FAULT_HEARTBEAT_LOST:
             status = self.command(CommandBlock(CommandCode.RESET))
         return status
 

@@ -3,6 +3,7 @@ sideways; and what the page says while the service does not answer."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +15,7 @@ from playwright.sync_api import Browser, Page, Route, ViewportSize, expect
 from service_process import Service
 
 from agent.execution.states import PACKML, RunState
+from agent.planning.run_phases import MOVING_PHASES, PREFLIGHT
 from agent.results.run_verdict import VERDICTS
 from agent.runs.unproved_table import UnprovedTable
 from agent.service.allowed_requests import AT_REST, allowed_in
@@ -30,6 +32,11 @@ ALARM = {
     "where": {"device": "cnc", "step": "station-2/az090-el045/ball-03/touch-2"},
 }
 TABLE = UnprovedTable(RUN, 2, 1, provable=True)
+RUN_SUMMARY = {
+    "run_id": RUN, "kind": "calibrate", "started": "2026-11-28T01:00:00Z", "ended": "2026-11-28T02:00:00Z",
+    "state": "complete", "reason": None, "software": "1", "balls": 264, "touches": 2000, "machine_minutes": 64.0,
+    "ve_um": 31.63, "vce_um": 12.34, "held_out_before_um": 20.0, "held_out_after_um": 3.0, "report": False,
+}  # fmt: skip
 QUESTION = {"number": 3, "text": "carry the artefact", "station": 2, "placement": None}
 LINKS = [{"device": "cnc", "ok": True, "problem": ""}, {"device": "mount", "ok": False, "problem": "no answer"}]
 
@@ -38,6 +45,11 @@ def views() -> Iterator[tuple[str, dict[str, Any]]]:
     """Status of every state, of every end of a run, and with all that may be open."""
     for state in RunState:
         yield state.value, status(state)
+    for phase in MOVING_PHASES:
+        yield phase, {**status(RunState.MEASURING), "phase": phase, "phase_fraction": 0.37, "phase_minutes_left": 0.6}
+    simulating = {**status(RunState.PREFLIGHT), "phase": PREFLIGHT, "fraction": 0.0, "minutes_left": None}
+    for fraction in (None, 0.5):
+        yield f"preflight, {fraction}", {**simulating, "phase_fraction": fraction, "simulated_steps": 11400}
     for verdict in VERDICTS:
         yield verdict.name, {**status(RunState.COMPLETE), "verdict": verdict.as_json()}
     yield "question", {**status(RunState.HELD), "question": QUESTION}
@@ -220,3 +232,76 @@ def test_a_start_gives_a_sign_before_the_service_answers(chromium: Browser, hous
         expect(page.locator("#said")).to_have_text("Start requested …")
         waiting[0].fulfill(json={"run_id": RUN}, status=202)
         expect(page.locator("#said")).to_have_text("Run started.")
+
+
+def test_each_phase_has_its_name_progress_and_minutes_under_the_kind_of_run(chromium: Browser, house: Service) -> None:
+    with told(chromium, house, "de") as (page, said):
+        expect(page.locator("#phase")).to_be_hidden()
+        started = {**status(RunState.PREFLIGHT), "fraction": 0.0, "minutes_left": None, "phase": PREFLIGHT}
+        said.update({**started, "position_set": "S3", "phase_fraction": None, "simulated_steps": 0})
+        expect(page.locator("#phase")).to_have_text("Vorabprüfung · Ablauf wird vorbereitet")
+        said.update(simulated_steps=1400)
+        bar = page.locator(".track.own")
+        expect(page.locator("#kind")).to_have_text("Kalibrieren · S3")
+        expect(page.locator("#phase")).to_have_text("Vorabprüfung · 1.400 Schritte simuliert")
+        expect(bar).not_to_have_attribute("aria-valuenow", re.compile(".*"))
+        expect(page.locator("#minutes-left")).to_be_hidden()
+        said.update(phase_fraction=0.25, phase_minutes_left=0.15)
+        expect(page.locator("#phase")).to_have_text("Vorabprüfung · 25 % · noch 9 s")
+        expect(bar).to_have_attribute("aria-valuenow", "25")
+
+        step = "probe/station-2/az0-el45/ball-00/qualify/touch-3/above"
+        checking = {**status(RunState.MEASURING), "step": step, "fraction": 0.012, "minutes_left": 63.2}
+        said.update({**checking, "phase": "qualification", "phase_fraction": 0.6, "phase_minutes_left": 0.25})
+        expect(page.locator("#doing")).to_contain_text("Taststift wird eingemessen: Station 2")
+        expect(page.locator("#phase")).to_have_text("Einmessen · 60 % · noch 15 s")
+        expect(page.locator("#minutes-left")).to_have_text("noch 64 min")
+        expect(page.locator("#kind")).to_have_text("Kalibrieren · S3")
+        said.update(phase="measuring", phase_fraction=0.0, phase_minutes_left=54.4)
+        expect(page.locator("#doing")).to_contain_text("Messung läuft: Station 2")
+        expect(page.locator("#phase")).to_have_text("Positionssatz · 0 % · noch 55 min")
+        said.update(status(RunState.VERIFYING), phase="verification", phase_fraction=0.5, phase_minutes_left=4.0)
+        expect(page.locator("#phase")).to_have_text("Verifizierung · 50 % · noch 4 min")
+
+
+def test_a_drawn_scene_has_no_message_over_it_while_the_next_plan_is_computed(
+    chromium: Browser, house: Service
+) -> None:
+    """The plans are kept back, so that each moment of the page lasts as long as the test looks at it."""
+    with told(chromium, house) as (page, said):
+        kept: list[Route] = []
+
+        def keep(route: Route) -> None:
+            kept.append(route)
+
+        page.goto("about:blank")  # nothing that was asked before is answered any more
+        page.route("**/api/plan", keep)
+        page.goto(house.url)
+        note = page.locator(".stage-note")
+        expect(note).to_have_text("Computing the path …")
+        for route in kept:
+            route.continue_()
+        expect(note).to_have_text("")
+        kept.clear()
+        with page.expect_request("**/api/plan"):
+            said.update(status(RunState.MEASURING))
+        expect(page.locator("#state")).to_have_attribute("data-state", "measuring")
+        expect(note).to_have_text("")
+
+
+def test_the_last_run_is_asked_for_again_if_the_service_did_not_answer(chromium: Browser, house: Service) -> None:
+    with told(chromium, house) as (page, said):
+        run = {**RUN_SUMMARY, "verdict": VERDICTS[0].as_json()}
+        refused: list[Route] = []
+
+        def answer(route: Route) -> None:
+            if not refused:
+                refused.append(route)
+                route.abort()
+            else:
+                route.fulfill(json={"runs": [run], "before": None})
+
+        page.route("**/api/runs?limit=1", answer)
+        said.update({**status(RunState.COMPLETE), "verdict": VERDICTS[0].as_json()})
+        expect(page.locator("#result")).to_contain_text("12.34")
+        assert len(refused) == 1

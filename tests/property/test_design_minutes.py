@@ -7,6 +7,7 @@ from tempfile import TemporaryDirectory
 import pytest
 from hypothesis import HealthCheck, Phase, assume, given, settings
 from hypothesis import strategies as st
+from long_form import size
 
 from agent.errors import PlanRefused
 from agent.planning.case_file import CASE_STUDY, load_case
@@ -31,7 +32,7 @@ def with_values(chosen: Settings, **sections: Mapping[str, object]) -> Settings:
 
 
 @settings(
-    max_examples=6,
+    max_examples=size(check=3, long=60),
     deadline=None,
     phases=(Phase.generate,),  # one example takes seconds; shrinking takes minutes
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
@@ -61,6 +62,10 @@ def test_a_design_promises_the_minutes_of_the_plan(
     optimise: bool,
     goal: Goal,
 ) -> None:
+    """Three examples find minutes that are wrong in half of all cases with 88 %, in a tenth with 27 %.
+
+    `make long-forms` tries 60, which find a tenth with 99.8 %.
+    """
     base = load_case(case).settings
     chosen = with_values(
         base,

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, Phase, example, given, settings
 from hypothesis import strategies as st
+from long_form import size
 
 from agent.planning.job_preparation import prepare_job
 from agent.planning.new_machine.answers import SetupAnswers
@@ -34,7 +35,7 @@ STATED = {
 STATED_BY_HAND = {name: values for name, values in STATED.items() if name != "shaft"} | {
     "table_z": st.sampled_from(["-200", "-120", "-60"])
 }
-BY_HAND_EXAMPLES = 60 if settings.get_current_profile_name() == "long" else 2
+BY_HAND_EXAMPLES = size(check=2, long=60)
 
 
 def prepared(options: Options) -> NewFiles:
@@ -86,9 +87,18 @@ def small_machines(draw: st.DrawFn) -> Options:
 
 
 # Without shrinking: each example is a plan of some seconds.
-@settings(max_examples=12, deadline=None, phases=[Phase.generate], suppress_health_check=[HealthCheck.too_slow])
+@settings(
+    max_examples=size(check=5, long=120),
+    deadline=None,
+    phases=[Phase.generate],
+    suppress_health_check=[HealthCheck.too_slow],
+)
 @given(small_machines())
 def test_what_is_accepted_can_be_planned_and_what_is_proposed_is_accepted(options: Options) -> None:
+    """Five examples find a defect of one small machine in three with 87 %, of one in ten with 41 %.
+
+    `make long-forms` tries 120, which find that of one in forty with 95 %.
+    """
     try:
         files = prepared(options)
     except InputError as refused:

@@ -9,7 +9,7 @@ STEPS_WITHOUT_MACHINE = 5
 
 
 def test_the_former_table_is_active_after_every_exit() -> None:
-    code, result = run_campaign("aborts", "--every", "400")
+    code, result = run_campaign("aborts", "--every", "400", "--workers", "1")
     assert result["failures"] == []
     assert result["ends_failed"] == []
     assert code == 0

@@ -80,6 +80,7 @@ VIOLATING: list[tuple[str, NightRecord, dict[str, Any]]] = [
     ("nothing measured twice", PROVED, {"repeated": ("measure/1/touch-0",)}),
     ("resumed to the end", RESTORED, {"must_resume": True, "resume_refused": "there is no run to resume"}),
     ("resumed to the end", RESTORED, {"must_end_well": True}),
+    ("resumed to the end", RESTORED, {"must_end_well": True, "state": "complete", "journal_state": "complete"}),
 ]
 
 
@@ -122,6 +123,50 @@ def test_a_strange_table_is_left_to_a_person_only_if_evening_and_morning_say_so(
     assert summarise([told])["left_to_a_person"] == 1
     assert set(violations(strange)) == {"active table complete", "former table or a proved one"}
     assert violations(replace(told, told_unrestored=False)).keys() > {"compensation restored"}
+
+
+def test_what_nothing_could_show_is_counted_with_its_reason_and_must_be_said_in_the_morning() -> None:
+    why = "nothing is measured after its activation"
+    unseen = replace(
+        RESTORED, active=OTHER, morning=OTHER, unseen=why, morning_says="activate bank 1 at the controller"
+    )
+    assert violations(unseen) == {}
+    assert summarise([unseen, RESTORED])["cannot_be_seen"] == {why: 1}
+    assert violations(replace(unseen, morning_says="all is well")).keys() > {"compensation restored"}
+    assert violations(replace(unseen, unseen="")).keys() >= {"compensation restored", "active table complete"}
+    repaired = replace(unseen, active=NEW, morning=FORMER, morning_says="the former table acts again")
+    assert violations(repaired) == {}
+    assert violations(replace(repaired, morning=NEW)).keys() > {"former table or a proved one"}
+    assert summarise([replace(RESTORED, unseen=why)])["cannot_be_seen"] == {}
+
+
+def test_a_resumed_run_that_confirms_the_active_table_has_ended_well() -> None:
+    ended = replace(RESTORED, must_end_well=True, state="complete", journal_state="complete")
+    assert violations(replace(ended, reason="confirmed: kept, no gain that can be shown")) == {}
+    assert set(violations(replace(ended, reason="restored: no effect"))) == {"resumed to the end"}
+
+
+def test_a_second_fault_is_counted_only_if_it_has_begun() -> None:
+    """The size of one fault may name a step, too."""
+    planned = replace(RESTORED, second="door", size="lost link; publish/stage after")
+    assert summarise([planned])["with_a_second_fault"] == 0
+    assert summarise([replace(planned, second_begun=True), planned])["with_a_second_fault"] == 1
+    assert summarise([replace(planned, later=replace(planned, second_begun=True))])["with_a_second_fault"] == 1
+
+
+def test_the_proof_shows_that_a_controller_reports_another_bank_than_the_one_that_acts() -> None:
+    """It reports the former bank as active afterwards, too, and a third one acts."""
+    code, result = run_campaign("faults", "--only", "557", "--seed", "3")
+    assert result["by_kind"] == {"wrong bank": 1}
+    assert result["violations"] == dict.fromkeys(INVARIANTS, 0)
+    assert (code, result["left_to_a_person"], result["cannot_be_seen"]) == (0, 1, {})
+
+
+def test_a_restoration_after_which_nothing_is_measured_cannot_show_which_bank_acts() -> None:
+    code, result = run_campaign("faults", "--only", "19087", "--seed", "6")
+    assert result["violations"] == dict.fromkeys(INVARIANTS, 0)
+    assert (code, result["with_a_second_fault"], result["left_to_the_morning"]) == (0, 1, 1)
+    assert list(result["cannot_be_seen"].values()) == [1]
 
 
 def test_a_controller_that_activates_another_bank_is_named_in_the_morning_too() -> None:

@@ -21,7 +21,7 @@ from stored_run import stored_run
 from test_whole_run import WrongSign
 from test_whole_run_interrupted import FORMER, Cut, Tripwire, with_device
 
-from agent.errors import PlanDiverged, PlanRefused
+from agent.errors import PlanDiverged, PlanRefused, ThermometerFault
 from agent.execution.device_assembly import assemble
 from agent.execution.journal import Journal
 from agent.execution.rig import Rig
@@ -29,13 +29,15 @@ from agent.execution.run_lock import run_lock
 from agent.execution.run_record import run_ids
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
+from agent.planning.job_preparation import prepare_job
 from agent.results.run_outcome import Decision
 from agent.runs.kinds import nightly
+from agent.runs.kinds.calibrate import FullCalibration
 from agent.runs.reconcile import compensation_left, reconcile, unproved_table
 from agent.runs.reconcile_result import CompensationState, ReconcileAction
 from agent.runs.resume.abandon import abandon
 from agent.runs.resume.resume import resume
-from agent.runs.session import RunResult
+from agent.runs.session import RunResult, carry_out
 from agent.runs.unfinished_run import unfinished_run
 from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
@@ -225,6 +227,65 @@ def test_a_run_after_an_emergency_stop_or_a_drive_fault_goes_on(
     assert run.measured_twice == []
     touched = [event.record for event in run.events if event.kind == "event" and "moved_um" in event.record_text]
     assert len(touched) == 2  # the ball found last and the one farthest from it
+
+
+class WildThermometer:
+    """Device whose readings number `first` to before `end` are 85 °C for the artefact, as of a sensor that has lost its
+    supply."""
+
+    def __init__(self, device: Any, first: int, end: int) -> None:
+        self._device, self._wild, self.readings = device, range(first, end), 0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._device, name)
+
+    def temperatures_c(self) -> dict[str, float]:
+        self.readings += 1
+        found = dict(self._device.temperatures_c())
+        return found | {"artefact": 85.0} if self.readings in self._wild else found
+
+
+def test_one_wild_reading_of_a_thermometer_is_read_again_and_noted(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    night = Night(tamper=lambda rig: with_device(rig, WildThermometer(rig.devices["twin"], 20, 22)))
+    job = prepare_job(Settings.model_validate(document()), Path.cwd())
+    ended = carry_out(job, FullCalibration(), Path.cwd(), night.hooks)  # not as walked: it reads more than once
+    assert ended.error is None, ended.error
+    run = stored_run(STATE)
+    [note] = [event.record for event in run.events if "readings_not_used" in event.record_text]
+    assert "to 85.00 °C" in note["note"]
+    assert note["readings_not_used"] == 2
+    used_c = [ball.record["temperature_c"] for ball in run.balls]
+    assert max(used_c) - min(used_c) < 1.0
+
+
+def test_a_run_whose_thermometer_stays_wild_ends_and_goes_on_when_it_is_put_right(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    night = Night(tamper=lambda rig: with_device(rig, WildThermometer(rig.devices["twin"], 20, 10**9)))
+    ended = night.run(document(), files=False)
+    assert isinstance(ended.error, ThermometerFault), ended
+    assert "jumped from" in str(ended.error)
+    assert "resume" in ended.error.hint
+    unfinished = unfinished_run(STATE)
+    assert unfinished is not None
+    assert unfinished.resumable
+    before = stored_run(STATE).balls
+    still_wild = Night(tamper=lambda rig: with_device(rig, WildThermometer(rig.devices["twin"], 1, 10**9)))
+    still_wild.world = night.world
+    assert isinstance(Broken(still_wild).resume().error, ThermometerFault)
+    after = Night()
+    after.world = night.world
+    resumed = Broken(after).resume()
+    assert resumed.error is None, resumed.error
+    assert resumed.outcome.state is RunState.COMPLETE
+    run = stored_run(STATE)
+    assert run.balls[: len(before)] == before
+    assert run.measured_twice == []
+    assert max(ball.record["temperature_c"] for ball in run.balls) < 30.0
 
 
 def test_an_aborted_run_cannot_be_resumed(measuring: Broken) -> None:

@@ -16,7 +16,7 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 from agent.probing.measured_balls import no_correction
-from agent.results.applied_table import AppliedTable, applied_table
+from agent.results.applied_table import BANK_DOUBTED, AppliedTable, applied_table
 from campaigns.foreign.artefact import S3, MeasuringConditions, measure, measure_at, tilted_bar
 from campaigns.foreign.machine import TOOL, foreign_machine
 from campaigns.foreign.score import family_of
@@ -189,8 +189,19 @@ def test_a_table_that_is_not_applied_as_written_is_named(
     assert np.mean([re.search(named, one.mistake) is not None for one in found]) >= least
 
 
+@pytest.mark.parametrize(("reading", "doubted"), [(scaled(0.0), True), (scaled(-1.0), False), (x_fastest, False)])
+def test_the_reported_bank_is_doubted_if_no_reading_of_its_table_explains_what_acts(
+    reading: Reading, doubted: bool
+) -> None:
+    """A controller that reads the table wrongly has activated it, and will activate the former one, too."""
+    found = [scene.diagnosis(0.65, reading).reason for scene in scenes()]
+    assert [BANK_DOUBTED in reason for reason in found] == [doubted] * len(found)
+    assert all("odds against the table as written" in reason for reason in found)
+
+
 def test_a_former_table_that_still_acts_is_named() -> None:
     found = [scene.diagnosis(0.35, scaled(0.35)) for scene in scenes()]
     assert all(one.mistake for one in found)
     assert np.mean([one.mistake.startswith("the former table still acts") for one in found]) >= 0.9
+    assert np.mean([BANK_DOUBTED in one.reason for one in found]) >= 0.9
     assert all(math.isfinite(one.chi2_normalised) for one in found)

@@ -21,6 +21,9 @@ _IN_ORDER = (0, 1, 2)
 _QUARTERS = (1, 2, 3)
 
 
+NO_EFFECT = "the table has no effect: the controller stores it, but does not apply it"
+
+
 @dataclass(frozen=True, eq=False)
 class MisreadTable:
     """Table with the corrections that a controller applies by mistake. `mistake` names the mistake and what to check at
@@ -38,7 +41,7 @@ def misread_tables(table: CompensationTable) -> Iterator[MisreadTable]:
 
 
 def _misread(corrections: Array) -> Iterator[tuple[str, Array]]:
-    yield "the table has no effect: the controller stores it, but does not apply it", np.zeros_like(corrections)
+    yield NO_EFFECT, np.zeros_like(corrections)
     yield (
         "the correction acts the wrong way: check the sign with which the controller adds the table",
         -corrections,

@@ -130,6 +130,30 @@ class StepPower:
             return 0.0
         return root_between(lambda evidence: self.false_alarm(evidence) - false_alarm, 0.0, _LARGEST_EVIDENCE)
 
+    def finds(self, errors: Sequence[str], size: float, false_alarm: float = FALSE_ALARM, power: float = POWER) -> bool:
+        """Return True if a step of each of `errors` by `size` in µm or µrad is found with the probability `power`, if
+        the limit of the evidence is that of `evidence_for(false_alarm)`.
+
+        That limit itself, a root of the sum over all errors, is not computed: false alarms become fewer as the limit
+        rises, so one evaluation at the largest limit that still finds every step decides.
+        """
+        if any(self.power(error, size, 0.0) < power for error in errors):
+            return False
+        limit = min(self._largest_evidence(error, size, power) for error in errors)
+        total = 0.0
+        for test in self._tests.values():
+            total += test.reported(limit)
+            if total > false_alarm:
+                return False
+        return True
+
+    def _largest_evidence(self, error: str, size: float, power: float) -> float:
+        """Return the largest limit of the evidence with which a step of `error` by `size` is found with the probability
+        `power`. The limit 0 must find it."""
+        if self.power(error, size, _LARGEST_EVIDENCE) >= power:
+            return _LARGEST_EVIDENCE
+        return root_between(lambda evidence: self.power(error, size, evidence) - power, 0.0, _LARGEST_EVIDENCE)
+
     def power(self, error: str, size: float, evidence: float) -> float:
         """Return the probability with which a step of `error` by `size` in µm or µrad is reported as a step of this
         error, if the limit of the evidence is `evidence`."""

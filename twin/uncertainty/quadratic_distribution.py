@@ -136,6 +136,10 @@ class QuadraticDistribution:
         above = value - self.least
         if above <= 0.0:
             return 1.0
+        if self.weights.size == 1:
+            # P(|g + δ| > √(q/λ)): both tails of one Gaussian variable, without an integral
+            edge, shift = math.sqrt(above / float(self.weights[0])), float(self.shifts[0])
+            return 0.5 * (math.erfc((edge - shift) / math.sqrt(2.0)) + math.erfc((edge + shift) / math.sqrt(2.0)))
         if above >= self._mean_above:
             return self._tail(above, upper=True)
         return 1.0 - self._tail(above, upper=False)

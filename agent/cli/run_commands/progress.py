@@ -35,14 +35,13 @@ class _Watcher:
                 self._advance(announcement)
 
     def _advance(self, announcement: Announcement) -> None:
+        data = announcement.data
         if self._task is None:
             self._task = self._bar.add_task("measuring", total=1.0, left="", where="")
-        self._bar.update(
-            self._task,
-            completed=announcement.data["fraction"],
-            left=f"{announcement.data['minutes_left']:.0f} min left",
-            where=announcement.text.removesuffix("/centre"),
-        )
+        minutes = data["minutes_left"]
+        left = f"{data.get('simulated_steps', 0)} steps simulated" if minutes is None else f"{minutes:.0f} min left"
+        where = announcement.text.removesuffix("/centre") or data.get("phase", "")
+        self._bar.update(self._task, completed=data["fraction"], left=left, where=where)
 
 
 @contextmanager

@@ -56,6 +56,8 @@ def _rows(status: Mapping[str, Any]) -> list[tuple[str, str]]:
         rows.append(("measured", f"{status['balls']} balls, {status['touches']} touches"))
     if status["minutes_left"] is not None:
         rows.append(("progress", f"{100.0 * status['fraction']:.0f} %, {status['minutes_left']:.0f} min left"))
+    if status["phase"]:
+        rows.append(("phase", _phase(status)))
     for name, key in (("VE without table", "ve_before_um"), ("VCE with table", "ve_now_um")):
         if status[key] is not None:
             rows.append((name, f"{status[key]:.2f} µm"))
@@ -70,3 +72,14 @@ def _rows(status: Mapping[str, Any]) -> list[tuple[str, str]]:
         rows.append((f"question {question['number']}", question["text"]))
     rows += [(f"alarm {a['code']}", f"{a['text']}. {a['hint']}") for a in status["alarms"]]
     return [*rows, ("accepted requests", ", ".join(status["may"]) or "none")]
+
+
+def _phase(status: Mapping[str, Any]) -> str:
+    parts = [status["phase"]]
+    if status["phase_fraction"] is not None:
+        parts.append(f"{100.0 * status['phase_fraction']:.0f} %")
+    if status["phase_minutes_left"] is not None:
+        parts.append(f"{status['phase_minutes_left']:.0f} min left")
+    if status["phase_fraction"] is None and status["simulated_steps"] and status["minutes_left"] is None:
+        parts.append(f"{status['simulated_steps']} steps simulated")
+    return ", ".join(parts)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from agent.execution.steps import Point, RunPlan
+from agent.planning.cycle_time import expected_plan, plan_minutes
 from agent.planning.job import Job
 from agent.planning.preflight import PreflightResult, never_interrupted, run_preflight
 from agent.planning.run_minutes import run_minutes
@@ -58,7 +59,11 @@ class FullCalibration:
         def planned_run(sequential: SequentialTask) -> PlannedRun:
             return plan_run(sequential.job, self, start, lambda: sequential_calibration(sequential), watch)
 
-        planned = plan_sequential(task, end, planned_run)
+        def minutes_of(sequential: SequentialTask) -> float:
+            watch()
+            return plan_minutes(sequential.job, expected_plan(sequential_calibration(sequential)), start.start_mm)
+
+        planned = plan_sequential(task, end, minutes_of, planned_run)
         preflight_estimate(planned.job, planned.preflight.measured)
         return planned
 

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from math import nan
 
 from agent.errors import PlanRefused
 from agent.execution.steps import Point
+from agent.planning.cycle_time import expected_plan, plan_minutes
 from agent.planning.job import Job, KnownHeldOut, Planner
 from agent.planning.preflight import PreflightResult, run_preflight
 from agent.probing.run_plan import MeasuringOrder
@@ -26,6 +28,7 @@ MIN_FUSED_POSITIONS = 2
 """Smallest number of positions that are fused; fewer cannot separate machine errors from artefact errors."""
 
 _AHEAD = 1.3  # time to choose for, relative to the time left: positions together cost less than one by one
+_ROUNDING_MIN = 1e-6  # the minutes of the ideal machine are those of the preflight but for rounding
 _MOST_TRIES = 6
 _MOST = 100
 
@@ -129,24 +132,31 @@ def night_plan(
     ahead = _AHEAD * max(budget - chooser.minutes(checked), 0.0)
     best = chooser.by_gain(judge.prior, most=_MOST, minutes=ahead, measured=checked, left_out=(*held_out, *checked))
     offered = (*checked, *best)
-    count, tried = _fitting(chooser, offered, budget), dict[int, tuple[NightPlan, PreflightResult]]()
+    count, tried = _fitting(chooser, offered, budget), dict[int, tuple[NightPlan, float]]()
     for _ in range(_MOST_TRIES):
         count = max(count, MIN_FUSED_POSITIONS, len(checked))
         if count in tried or count > len(offered):
             break
+        watch()
         plan = NightPlan(
             chooser.station, held_out, offered[: chosen.check_positions], offered[chosen.check_positions : count]
         )
         own = plan.job(chooser.job)
-        tried[count] = plan, run_preflight(own, planner(plan), start_mm, watch, every_branch=False)
-        left = room - tried[count][1].machine_minutes
+        # the ideal machine looks for no collisions, which takes most of the time of a preflight
+        tried[count] = plan, plan_minutes(own, expected_plan(planner(plan)(own)), start_mm)
+        left = room - tried[count][1] - _ROUNDING_MIN
         more = offered[count : count + 1]
         count += 1 if more and left > chooser.minutes(more) else -1 if left < 0.0 else 0
-    fits = [number for number, (_, preflight) in tried.items() if preflight.machine_minutes <= room]
-    if not fits:
-        raise _too_short(slot_minutes, chosen.reserve_minutes, tried)
-    plan, _ = tried[max(fits)]
-    return plan, run_preflight(plan.job(chooser.job), planner(plan), start_mm, watch)
+    # the preflight has the last word
+    for number in sorted(tried, reverse=True):
+        plan, minutes = tried[number]
+        if minutes > room:
+            continue
+        preflight = run_preflight(plan.job(chooser.job), planner(plan), start_mm, watch)
+        if preflight.machine_minutes <= room:
+            return plan, preflight
+        tried[number] = plan, preflight.machine_minutes
+    raise _too_short(slot_minutes, chosen.reserve_minutes, min((minutes for _, minutes in tried.values()), default=nan))
 
 
 def _held_out(chooser: PositionChooser, prior: CarriedOverPrior, change: Array, count: int) -> tuple[Position, ...]:
@@ -167,8 +177,7 @@ def _fitting(chooser: PositionChooser, offered: Sequence[Position], budget: floa
     return count
 
 
-def _too_short(slot: float, reserve: float, tried: dict[int, tuple[NightPlan, PreflightResult]]) -> PlanRefused:
-    shortest = min((preflight.machine_minutes for _, preflight in tried.values()), default=float("nan"))
+def _too_short(slot: float, reserve: float, shortest: float) -> PlanRefused:
     return PlanRefused(
         f"a slot of {slot:g} min is too short: the shortest night takes {shortest:.1f} min and {reserve:g} min reserve",
         hint="give a longer slot, fewer touches, or run `volcal verify`",

@@ -4,7 +4,7 @@ machine errors (jumps) and to find the errors that changed."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
 
@@ -32,6 +32,9 @@ class PositionChooser:
 
     job: Job
     station: int
+    _searches: dict[tuple[CarriedOverPrior, tuple[Position, ...]], tuple[ExchangeSearch, list[int]]] = field(
+        default_factory=dict, init=False, repr=False
+    )
 
     @cached_property
     def feasibility(self) -> FeasibilityCheck:
@@ -105,7 +108,11 @@ class PositionChooser:
 
     def step_power(self, prior: CarriedOverPrior, positions: Sequence[Position]) -> StepPower:
         """Return the power of a measurement of `positions` to find a sudden change (step) of a machine error."""
-        search, places = self._search(prior, positions)
+        offered = self._offered()
+        # The sets of a verification are asked for one after the other, out of the same positions: one search has all.
+        search, _ = self._search(prior, offered if set(positions) <= set(offered) else positions)
+        index_of = {position: index for index, position in enumerate(search.candidates.positions)}
+        places = [index_of[position] for position in positions if position in index_of]
         return StepPower.of(prior.unknowns, search.candidates.factors[places], prior.covariance)
 
     def finding_steps(self, prior: CarriedOverPrior, steps: Mapping[str, float]) -> tuple[Position, ...]:
@@ -159,6 +166,12 @@ class PositionChooser:
 
     def _search(self, prior: CarriedOverPrior, positions: Sequence[Position]) -> tuple[ExchangeSearch, list[int]]:
         """Return the search over those `positions` that can be candidates, and the indices of these candidates."""
+        asked = prior, tuple(positions)
+        if asked not in self._searches:
+            self._searches[asked] = self._new_search(prior, positions)
+        return self._searches[asked]
+
+    def _new_search(self, prior: CarriedOverPrior, positions: Sequence[Position]) -> tuple[ExchangeSearch, list[int]]:
         job = self.job
         machine = job.machine.with_model(prior.unknowns.model)
         options = Options(carried_over=prior, estimate_scales=False, outliers="none")

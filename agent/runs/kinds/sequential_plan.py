@@ -15,13 +15,19 @@ from agent.planning.preflight import Standing
 from agent.runs.kinds.calibration import CalibrationTask
 from agent.runs.kinds.sequential import SequentialEnd, SequentialTask, with_positions
 from agent.runs.planned_run import PlannedRun
+from twin.artefact.position_set import Position
 from twin.units import S_PER_MIN
 
 
 def plan_sequential(
-    calibration: CalibrationTask, end: SequentialEnd, planned_run: Callable[[SequentialTask], PlannedRun]
+    calibration: CalibrationTask,
+    end: SequentialEnd,
+    minutes_of: Callable[[SequentialTask], float],
+    planned_run: Callable[[SequentialTask], PlannedRun],
 ) -> PlannedRun:
     """Return the run, planned by `planned_run` with a preflight, whose positions fit into the slot of `end`.
+    `minutes_of` returns the machine minutes of the same plan on an ideal machine, which takes less time than a
+    preflight.
 
     Raises PlanRefused if the slot is too short for the smallest number of positions, or if the artefact is placed by
     hand.
@@ -36,24 +42,30 @@ def plan_sequential(
     checks, standing = _checks(job)
     room = end.time.left(checks)
     positions = candidates.planned(room, standing)
-    found: PlannedRun | None = None
-    # The minutes of the choice are estimates, those of the preflight are not: their difference is used up, or saved.
+    found: tuple[Position, ...] = ()
+
+    def task(measured: tuple[Position, ...]) -> SequentialTask:
+        return SequentialTask(replace(calibration, job=with_positions(job, measured)), candidates, end, measured)
+
+    # The minutes of the choice are estimates, those of the plan are not: their difference is used up, or saved.
     while len(positions) >= MIN_POSITIONS:
-        own = replace(calibration, job=with_positions(job, positions))
-        planned = planned_run(SequentialTask(own, candidates, end, positions))
-        left = end.time.left(planned.preflight.machine_minutes)
-        if left < 0.0 and found is None:
+        left = end.time.left(minutes_of(task(positions)))
+        if left < 0.0 and not found:
             positions = positions[:-1]
             continue
         if left < 0.0:
             break
-        found, room = planned, room + left
+        found, room = positions, room + left
         longer = candidates.planned(room, standing)
         if len(longer) <= len(positions):
             break
         positions = longer
-    if found is not None:
-        return found
+    # The minutes of the preflight are the same but for rounding; it has the last word.
+    while len(found) >= MIN_POSITIONS:
+        planned = planned_run(task(found))
+        if end.time.left(planned.preflight.machine_minutes) >= 0.0:
+            return planned
+        found = found[:-1]
     raise PlanRefused(
         f"the slot of {end.time.minutes:g} min is too short: {MIN_POSITIONS} positions, the held-out positions and the "
         f"proof take about {_shortest_minutes(candidates, checks, standing) + end.time.reserve:.0f} min",

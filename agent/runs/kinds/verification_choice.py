@@ -22,7 +22,7 @@ from twin.identification.jump import coefficients_of
 from twin.machine.error_model import SQUARENESS, ErrorModel
 from twin.machine.forward_model import deviation_basis
 from twin.machine.volumetric import evaluation_grid
-from twin.monitoring.step_power import POWER, SmallestStep, StepPower, largest_of
+from twin.monitoring.step_power import SmallestStep, StepPower, largest_of
 
 _EFFECT_GRID = (5, 4, 4)
 
@@ -95,8 +95,7 @@ class VerificationChooser:
         change."""
         sought, ranked = self._sought(errors), self.ranked(errors, size)
         for count in range(1, len(ranked) + 1):
-            evidence = self.evidence(ranked[:count])
-            if all(self.power(ranked[:count]).power(error, size, evidence) >= POWER for error in sought):
+            if self.power(ranked[:count]).finds(sought, size, self.false_alarm):
                 return self.found(ranked[:count])
         return None
 

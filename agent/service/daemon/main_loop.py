@@ -162,6 +162,8 @@ def status_text(status: Status, *, hung: bool = False) -> str:
     parts = [f"{status.machine}: {status.doing}"]
     if status.minutes_left is not None:
         parts.append(f"{100.0 * status.fraction:.0f} %, {status.minutes_left:.0f} min left")
+    elif status.simulated_steps:
+        parts.append(f"{status.simulated_steps} steps simulated")
     if status.alarms:
         parts.append(f"ALARM {status.alarms[0].code}: {status.alarms[0].text}")
     return "; ".join(["the engine hangs", *parts] if hung else parts).replace("\n", " ")

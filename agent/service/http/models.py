@@ -144,6 +144,10 @@ class StatusView(BaseModel):
     step: str
     fraction: float
     minutes_left: float | None
+    phase: str
+    phase_fraction: float | None
+    phase_minutes_left: float | None
+    simulated_steps: int
     balls: int
     touches: int
     ve_before_um: float | None

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 
 import structlog
 
-from agent.service.owner.owner import Owner
+from agent.service.owner.owner import READING_LIMIT_S, Owner
 
 log = structlog.get_logger()
 
@@ -22,22 +22,28 @@ OFF_S = 60.0
 
 @contextmanager
 def idle_reading(owner: Owner) -> Iterator[None]:
-    """Read the machine once per `service.idle_read_period_s`, and at the end of each run, during the `with` block."""
-    ended = threading.Event()
+    """Read the machine once per `service.idle_read_period_s`, and at the end of each run, during the `with` block. At
+    its end the owner is closed, and a reading in progress is awaited, so that no device is left in the middle of an
+    exchange.
+    """
 
     def work() -> None:
-        while not ended.is_set():
+        going_on = True
+        while going_on:
             period_s = owner.settings.service.idle_read_period_s
             if period_s > 0.0:
                 try:
                     owner.read_idle()
                 except Exception:  # the display must not end with one reading
                     log.exception("the idle machine could not be read")
-            owner.await_change(period_s or OFF_S)
+            going_on = owner.await_change(period_s or OFF_S)
 
     thread = threading.Thread(target=work, name="idle-reader", daemon=True)
     thread.start()
     try:
         yield
     finally:
-        ended.set()
+        owner.close(0.0)
+        thread.join(READING_LIMIT_S)
+        if thread.is_alive():
+            log.warning("the reading of the idle machine did not end")

@@ -40,6 +40,9 @@ from drivers.errors import PermissionMissing, StoreError, UserError, VolcalError
 
 log = structlog.get_logger()
 
+READING_LIMIT_S = 30.0
+"""Longest time in s that a request waits for a reading of the idle machine."""
+
 MAX_REASON = 200
 """Longest reason of an abort in characters. Anybody may abort, so the reason may be any text."""
 
@@ -204,6 +207,7 @@ class Owner:
         """
         with self._changed:
             self._closing = True
+            self._changed.notify_all()  # the reader of the idle machine ends
             if self._running is not None:
                 self._running.hold()
                 self._running.interrupt("the service is being stopped")
@@ -263,32 +267,47 @@ class Owner:
             if self._running is None:
                 self._board.show_reading(found)
 
-    def await_change(self, within_s: float) -> None:
-        """Return at the end of a run, and after `within_s` at the latest."""
+    def await_change(self, within_s: float) -> bool:
+        """Return at the end of a run, when the service is being stopped, and after `within_s` at the latest. The result
+        is False if the service is being stopped."""
         with self._changed:
-            self._changed.wait(within_s)
+            if not self._closing:
+                self._changed.wait(within_s)
+            return not self._closing
 
     # ------------------------------------------------------------------ starting
 
     def _reserve(self) -> RunMailbox:
         with self._changed:
-            if self._closing:
-                raise Busy("the service is being stopped", hint="start the service again")
+            self._require_service()
             self._require_nothing_runs()
             self._require_reset()
             self._running = running = RunMailbox(new_run_id(), self._parts.health.beat)
-            self._await_reading()
+            try:
+                self._await_reading()
+                self._require_service()  # it may have been stopped meanwhile
+            except Busy:
+                self._release()
+                raise
             return running
 
     def _await_reading(self) -> None:
         """Wait until no reading of the idle machine is in progress; the caller holds the lock, which is released
-        meanwhile."""
-        self._changed.wait_for(lambda: not self._reading)
+        meanwhile. Raise Busy if the reading has not ended after `READING_LIMIT_S`."""
+        if not self._changed.wait_for(lambda: not self._reading, READING_LIMIT_S):
+            raise Busy(
+                f"the machine is being read, and this has not ended after {READING_LIMIT_S:g} s",
+                hint="a device answers slowly or not at all (`volcal doctor` names it); try again",
+            )
 
     def _release(self) -> None:
         with self._changed:
             self._running = None
             self._changed.notify_all()
+
+    def _require_service(self) -> None:
+        if self._closing:
+            raise Busy("the service is being stopped", hint="start the service again")
 
     def _require_nothing_runs(self) -> None:
         if self._running is not None:
@@ -367,8 +386,8 @@ class Owner:
             self._board.show_idle(idle)
             if measured is not None:
                 self._board.show_measured(*measured)
-            if error is not None:
-                self._board.show_bank(None)
+            if state in allowed_requests.STICKY:
+                self._board.show_bank(None)  # a link may be lost, or the bank be changed since it was read
             elif read.active_bank is not None:
                 self._board.show_bank(read.active_bank)
             self._parts.live_view.end_run()

@@ -12,7 +12,7 @@ from agent.runs.reconcile_result import Reconciliation
 from agent.service.control import LinkState
 from agent.settings.schema import Settings
 from drivers.errors import VolcalError
-from drivers.roles import Device
+from drivers.roles import Device, LookOnlyDevice
 
 
 @dataclass(frozen=True)
@@ -38,21 +38,27 @@ def unreachable(settings: Settings, problem: str) -> ControllerReading:
 
 def read_controller(rig: Rig, settings: Settings, must_compare: Callable[[int, int | None], bool]) -> ControllerReading:
     """Open each device of `rig` in turn, read the compensation from the store, and close the device again. Nothing
-    is measured and no table is written, but a driver does what it does whenever it opens its device.
+    is measured and no table is written.
 
-    `must_compare` returns True if the active and the waiting bank are to be compared with the journal.
+    A `LookOnlyDevice` is opened so that nothing is written to it; any other driver does what it does whenever it opens
+    its device. `must_compare` returns True if the active and the waiting bank are to be compared with the journal. For
+    this comparison the store is opened as for a run, since a controller may show a table only if a block is selected.
     """
-    links, active, waiting, problem, compared = [], None, None, "", None
+    links: list[LinkState] = []
+    active: int | None = None
+    waiting: int | None = None
+    problem, compared = "", None
     roles, asks_only = settings.roles, _asks_only(settings)
     for name, device in rig.devices.items():
         if name in asks_only:
             continue
         try:
-            with _opened(device):
+            with _opened_to_look(device):
                 if name == roles.store:
                     active, waiting = rig.store.active_bank(), rig.store.pending_bank()
-                    if must_compare(active, waiting):
-                        compared = reconcile(rig, settings.state_directory, restore=False)
+            if name == roles.store and active is not None and must_compare(active, waiting):
+                with _opened(device):
+                    compared = reconcile(rig, settings.state_directory, restore=False)
             links.append(LinkState(name))
         except VolcalError as error:
             links.append(LinkState(name, error.message))
@@ -65,6 +71,19 @@ def _asks_only(settings: Settings) -> set[str]:
     """Return the name of the device through which only a person is asked, if there is one: a person is not a link."""
     roles = settings.roles
     return {roles.operator} - {roles.machine, roles.probe, roles.store, roles.thermometer}
+
+
+@contextmanager
+def _opened_to_look(device: Device) -> Iterator[None]:
+    if not isinstance(device, LookOnlyDevice):
+        with _opened(device):
+            yield
+        return
+    device.open_to_look()
+    try:
+        yield
+    finally:
+        device.close()
 
 
 @contextmanager

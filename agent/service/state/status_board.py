@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -14,6 +14,7 @@ import structlog
 from agent.execution.run_state import Announcement
 from agent.execution.states import PACKML, RunState
 from agent.execution.steps import ActivateBank, ReadActiveBank, ReadTemperatures, Record, Step, TouchTowards
+from agent.planning.run_phases import HOMING, PREFLIGHT, PROBE_CHECK, QUALIFICATION, REVERSAL, VERIFICATION
 from agent.results.run_outcome import Outcome
 from agent.results.run_verdict import RunVerdict, verdict_of
 from agent.runs.reconcile_result import CompensationState, Reconciliation
@@ -47,12 +48,22 @@ _STATES: dict[RunState, str] = {
     S.ABORTED: "aborted",
     S.FAULTED: "fault; waiting for a reset",
 }
+_PHASES = {
+    PROBE_CHECK: "checking the probe",
+    QUALIFICATION: "qualifying the stylus",
+    REVERSAL: "measuring the lost motion at reversal",
+    HOMING: "measuring the scatter of the homing",
+}
+"""Words of the phases that are measured before the first position."""
+_NO_PHASE = {"phase": "", "phase_fraction": None, "phase_minutes_left": None}
+_PROGRESS = ("fraction", "minutes_left", "phase", "phase_fraction", "phase_minutes_left", "simulated_steps")
 _UNEXPECTED = (CompensationState.CHANGED, CompensationState.LOST, CompensationState.UNPROVED)
 """States in which the active compensation is not the one whose volumetric error is known."""
 _KEY = re.compile(
     r"(?P<phase>[\w-]+)(/station-(?P<station>\d+))?(/az(?P<az>-?[\d.]+)-el(?P<el>-?[\d.]+))?(/ball-(?P<ball>\d+))?"
 )
 _MOVING = frozenset({S.MEASURING, S.VERIFYING, S.HELD})
+_STILL = frozenset(RunState) - _MOVING - {S.PREFLIGHT, S.RESUMING}
 
 
 @dataclass(frozen=True)
@@ -190,6 +201,10 @@ class StatusBoard:
             step="",
             fraction=0.0,
             minutes_left=None,
+            phase=PREFLIGHT,
+            phase_fraction=None,
+            phase_minutes_left=None,
+            simulated_steps=0,
             balls=0,
             touches=0,
             verdict=None,
@@ -206,10 +221,11 @@ class StatusBoard:
             case "state":
                 state = RunState(data["state"])
                 if state not in AT_REST:  # the owner enters these once the machine is released
+                    self._change(**_phase_in(state, self._status))
                     self.enter(state, announcement.text)
                 return
             case "progress":
-                self._change(fraction=data["fraction"], minutes_left=data["minutes_left"])
+                self._on_progress(data)
             case _:
                 log.info(announcement.text, **data)
         self.event_log.publish(announcement.kind, announcement.text, data)
@@ -241,7 +257,7 @@ class StatusBoard:
         log.info("question", open=question is not None, text=text)
 
     def show_outcome(self, outcome: Outcome) -> None:
-        self._change(minutes_left=None, verdict=outcome.verdict)
+        self._change(minutes_left=None, simulated_steps=0, verdict=outcome.verdict, **_NO_PHASE)
         self.show_bank(outcome.table_bank)
         self.event_log.publish("outcome", outcome.reason or outcome.state.value, outcome.as_json())
 
@@ -257,11 +273,18 @@ class StatusBoard:
         former, verdict = self._status.state, self._status.verdict
         if verdict is None and state in AT_REST - {S.IDLE}:  # the run has ended without an outcome
             verdict = verdict_of(self._status.kind or "", state.value, ended=True, accepted=None, decision=None)
-        self._change(state=state, packml=PACKML[state], verdict=verdict)
+        ended = {**_NO_PHASE, "simulated_steps": 0} if state in AT_REST else {}
+        self._change(state=state, packml=PACKML[state], verdict=verdict, **ended)
         self.event_log.publish("state", text, {"state": state.value, "packml": PACKML[state]})
         log.info("state", state=state.value, former=former.value, text=text)
 
     # ------------------------------------------------------------------
+
+    def _on_progress(self, data: Mapping[str, Any]) -> None:
+        told = {name: data[name] for name in _PROGRESS if name in data}
+        if self._status.state in _STILL:  # while a table is computed or written, the state is the phase
+            told = {name: value for name, value in told.items() if name not in _NO_PHASE}
+        self._change(**told)
 
     def _on_record(self, step: Record) -> None:
         if step.key.endswith("/lost"):
@@ -291,13 +314,24 @@ def _doing_now(status: Status) -> str:
         return status.verdict.sentence["en"]
     if status.state is S.IDLE and (status.alarms or status.unfinished is not None):
         return "not ready: an alarm is open" if status.alarms else f"run {status.unfinished} is unfinished"
-    return doing(status.state, status.step, status.kind)
+    return doing(status.state, status.step, status.kind, status.phase)
 
 
-def doing(state: RunState, step: str, kind: str | None) -> str:
+def _phase_in(state: RunState, former: Status) -> dict[str, Any]:
+    """Return the phase of a run that enters `state`. While the machine moves, the steps say in which phase it is."""
+    if state in (S.PREFLIGHT, S.RESUMING):
+        return {**_NO_PHASE, "phase": PREFLIGHT}
+    if state is S.VERIFYING and former.phase != VERIFICATION:
+        return {"phase": VERIFICATION, "phase_fraction": 0.0, "phase_minutes_left": None}
+    if state in _MOVING:
+        return {}
+    return {**_NO_PHASE, "phase": state.value}
+
+
+def doing(state: RunState, step: str, kind: str | None, phase: str = "") -> str:
     """Return the current activity of the service as one line of text. During a measurement the line includes the
-    station, the orientation and the ball."""
-    words = _STATES[state]
+    station, the orientation and the ball, and during the checks before the first position it names the check."""
+    words = _PHASES.get(phase, _STATES[state]) if state is S.MEASURING else _STATES[state]
     place = _place(step) if state in _MOVING else ""
     if state is S.MEASURING and not place and kind is not None:
         return f"{words}: preparing"

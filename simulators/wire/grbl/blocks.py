@@ -286,8 +286,12 @@ def _replace_axes(offset: Triple, given: dict[str, float], value: Callable[[int,
 
 
 def single(value: float) -> float:
-    """Return `value` rounded to single precision, in which GRBL computes positions."""
-    return float(np.float32(value))
+    """Return `value` rounded to single precision, in which GRBL computes positions.
+
+    Like GRBL, return an infinite value without a word if `value` exceeds single precision.
+    """
+    with np.errstate(over="ignore"):
+        return float(np.float32(value))
 
 
 def _scale(modes: GrblModalState) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -12,6 +13,7 @@ from touched_ball import TouchedBall, ended
 from agent.execution import steps as s
 from agent.probing.ball import FittedBall, LostBall, doubtful_touches, measure_ball, pole_error_mm
 from agent.probing.probing_parameters import BallLimits, FastTouch, ProbingParameters, Search, Stylus
+from drivers.errors import CommandRejected
 from twin.artefact.sphere_fit import fit_sphere
 from twin.artefact.touch_pattern import approach_directions, known_radius_covariance
 
@@ -175,16 +177,118 @@ def test_five_points_say_nothing_of_the_pole() -> None:
     assert doubtful_touches(fit, probing()) == (1, 2, 3, 4)
 
 
-def test_a_ball_that_is_moved_between_its_touches_is_searched_again_at_the_feed_for_an_unknown_place() -> None:
-    player = TouchedBall(CENTRE, PROBING.contact_mm, lambda _way, _feed, key: 2.0 if key == "b/touch-4" else 0.0)
+class KnockedBall(TouchedBall):
+    """Ball that is displaced by `knock_mm` just before the touch with the key `at`.
+
+    `rapid_hits` are the keys of rapid moves that end in the ball or pass through it. A move at a feed stops there.
+    """
+
+    def __init__(self, at: str, knock_mm: np.ndarray) -> None:
+        super().__init__(CENTRE, PROBING.contact_mm, clean)
+        self.knocked_at = at
+        self.knock_mm = knock_mm
+        self.rapid_hits: list[str] = []
+
+    def to(self, step: s.Step) -> Any:
+        if step.key == self.knocked_at:
+            self.centre_mm = CENTRE + self.knock_mm
+        if isinstance(step, s.MoveTo) and self._passes_through(self.at, np.array(step.target_mm)):
+            if step.feed_mm_per_s is not None:
+                raise CommandRejected("the probe tripped", hint="", device="cnc")
+            self.rapid_hits.append(step.key)
+        return super().to(step)
+
+    def _passes_through(self, begin: np.ndarray, end: np.ndarray) -> bool:
+        way = end - begin
+        square = float(way @ way)
+        part = 0.0 if square == 0.0 else min(max(float((self.centre_mm - begin) @ way) / square, 0.0), 1.0)
+        return float(np.linalg.norm(begin + part * way - self.centre_mm)) < self.contact_mm - 1e-6
+
+
+def drawn_knock_mm(rng: np.random.Generator) -> np.ndarray:
+    """Knock of any direction, by 0.3 to 12 mm."""
+    direction = rng.normal(size=3)
+    return np.asarray(direction / np.linalg.norm(direction) * rng.uniform(0.3, 12.0))
+
+
+@pytest.mark.parametrize("touches", [3, 5, 9])
+def test_a_ball_that_is_knocked_between_its_touches_is_never_hit_at_rapid_when_it_is_repeated(touches: int) -> None:
+    """A move of the pattern in which the ball is knocked may hit it, since nothing has shown the knock. What is
+    repeated afterwards must not: not for any direction and size of the knock."""
+    rng = np.random.default_rng(touches)
+    guarded = probing(touches, guarded_feed_mm_per_s=20.0)
+    if touches == 3:
+        guarded = guarded.qualified(Stylus(PROBING.contact_mm, 3e-4, fixed=True))
+    repeated = 0
+    for _ in range(500):
+        knock_mm = drawn_knock_mm(rng)
+        player = KnockedBall(f"b/touch-{rng.integers(1, touches)}", knock_mm)
+        with suppress(CommandRejected):
+            player.run(measure_ball("b", CENTRE, guarded, PROBING.narrow_search))
+        if any(key.startswith("b/touch-") for key in player.rapid_hits):
+            continue
+        repeated += any(key.startswith(("b/repeat-", "b/clean-up")) for key in player.touched)
+        assert player.rapid_hits == [], (player.knocked_at, knock_mm)
+    assert repeated > 150
+
+
+def test_a_ball_that_is_knocked_while_it_is_located_is_seldom_hit_at_rapid_afterwards() -> None:
+    """The locating touches then lie on no sphere of the ball. They show nothing of a knock that moves the ball along
+    its surface at the touches that follow: those few balls may be hit."""
+    rng = np.random.default_rng(1)
+    guarded = probing(guarded_feed_mm_per_s=20.0)
+    hit = 0
+    for _ in range(300):
+        knock_mm = drawn_knock_mm(rng)
+        player = KnockedBall(f"b/locate/touch-{rng.integers(1, 5)}", knock_mm)
+        with suppress(CommandRejected):
+            player.run(measure_ball("b", CENTRE, guarded, guarded.locating_search))
+        hit += any(not key.startswith("b/locate/") for key in player.rapid_hits)
+    assert hit < 10  # 83 if the tip always moves at rapid traverse once the ball has been located
+
+
+def test_touches_that_still_contradict_each_other_repeat_the_ball_at_the_feed_for_an_unknown_place() -> None:
+    wrong = ("b/touch-4", "b/clean-up/touch-4")
+    player = TouchedBall(CENTRE, PROBING.contact_mm, lambda _way, _feed, key: 2.0 if key in wrong else 0.0)
     found = player.run(measure_ball("b", CENTRE, probing(guarded_feed_mm_per_s=20.0), PROBING.narrow_search))
     assert isinstance(found, FittedBall)
     assert found.centre_mm == pytest.approx(CENTRE, abs=1e-9)
-    assert player.events[0]["then"] == "repeat the ball"
-    assert "contradict each other" in player.events[0]["reason"]
-    again = [step for step in player.steps if isinstance(step, s.MoveTo) and step.key.startswith("b/repeat-1/")]
-    beside = [step for step in again if not step.key.endswith("/back")]
-    assert {step.feed_mm_per_s for step in beside} == {20.0}
+    assert [event["then"] for event in player.events[:2]] == ["clean-up of touch 4", "repeat the ball"]
+    assert "contradict each other" in player.events[1]["reason"]
+    assert feeds_beside(player, "b/clean-up") == feeds_beside(player, "b/repeat-1") == {20.0}
+
+
+def test_three_touches_that_find_the_ball_elsewhere_are_repeated_at_the_feed_for_an_unknown_place() -> None:
+    """They always lie on a sphere of the qualified radius: a ball that moves between them contradicts nothing."""
+    known = probing(3, guarded_feed_mm_per_s=20.0).qualified(Stylus(PROBING.contact_mm, 3e-4, fixed=True))
+    far_mm = np.array([0.0, 0.0, 0.5])
+    player = TouchedBall(CENTRE + far_mm, PROBING.contact_mm, clean)
+    found = player.run(measure_ball("b", CENTRE, known, PROBING.narrow_search))
+    assert found.centre_mm == pytest.approx(CENTRE + far_mm, abs=1e-9)
+    assert feeds_beside(player, "b/repeat-1") == {20.0}
+
+
+def test_five_touches_that_agree_where_the_ball_is_are_repeated_at_rapid_traverse() -> None:
+    player = TouchedBall(CENTRE + np.array([0.0, 0.0, 0.5]), PROBING.contact_mm, clean)
+    found = player.run(measure_ball("b", CENTRE, probing(guarded_feed_mm_per_s=20.0), PROBING.narrow_search))
+    assert isinstance(found, FittedBall)
+    assert feeds_beside(player, "b/repeat-1") == {None}
+
+
+@pytest.mark.parametrize("early_mm", [1.0, 2.5])
+def test_a_false_trip_far_from_the_ball_goes_away_by_a_clean_up_touch_too(early_mm: float) -> None:
+    """One touch far off its sphere also moves the centre of the fit far away: no reason to repeat the whole ball."""
+    player = TouchedBall(CENTRE, PROBING.contact_mm, first_time("b/touch-7", -early_mm))
+    found = player.run(measure_ball("b", CENTRE, probing(9, repeats=0), PROBING.narrow_search))
+    assert isinstance(found, FittedBall)
+    assert found.centre_mm == pytest.approx(CENTRE, abs=1e-9)
+    assert [then for _, then in gates(player)] == ["clean-up of touch 7"]
+
+
+def feeds_beside(player: TouchedBall, prefix: str) -> set[float | None]:
+    """Feeds of the moves towards the touches whose keys begin with `prefix`."""
+    moves = [step for step in player.steps if isinstance(step, s.MoveTo) and step.key.startswith(f"{prefix}/")]
+    return {step.feed_mm_per_s for step in moves if not step.key.endswith(("/off", "/back"))}
 
 
 def test_a_miss_is_searched_wider_once() -> None:

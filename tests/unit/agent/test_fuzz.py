@@ -9,16 +9,18 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from random import Random
+from time import process_time
 
 import pytest
 from journaled import journaled
 from structlog.testing import capture_logs
 
 from agent.execution.journal_schema import FILE_NAME
+from campaigns.fuzz.device_decoders import device_decoders
 from campaigns.fuzz.file_decoders import file_decoders
 from campaigns.fuzz.journal_decoder import read_everything
 from campaigns.fuzz.mutation import mutated
-from campaigns.fuzz.trial import Decoder, tried
+from campaigns.fuzz.trial import LARGEST_GROWTH_BYTES, Decoder, excesses, tried
 from campaigns.fuzz.wire_decoders import wire_decoders
 
 COUNT, SEED = 60, 1
@@ -32,7 +34,9 @@ def silent() -> Iterator[None]:
     logging.disable(logging.NOTSET)
 
 
-@pytest.mark.parametrize("decoder", [*file_decoders(), *wire_decoders()], ids=lambda decoder: decoder.name)
+@pytest.mark.parametrize(
+    "decoder", [*file_decoders(), *wire_decoders(), *device_decoders()], ids=lambda decoder: decoder.name
+)
 def test_no_input_raises_anything_outside_the_error_tree(decoder: Decoder) -> None:
     found = tried(decoder, COUNT, SEED)
     assert not found.failures
@@ -71,6 +75,36 @@ def test_a_hang_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("campaigns.fuzz.trial.BOUND_S", 0.05)
     found = tried(Decoder("slow", [b"seed"], lambda data: None if data == b"seed" else signal.pause()), 1, SEED)
     assert "Hang: longer than 0.05 s" in found.failures[0]
+
+
+def test_an_input_that_computes_too_long_is_found() -> None:
+    def compute(data: bytes) -> None:
+        if data != b"seed":
+            began_s = process_time()
+            while process_time() - began_s < 0.02:
+                pass
+
+    decoder = Decoder("slow", [b"seed"], compute, cpu_bound_s=0.01)
+    (told,) = excesses(decoder, tried(decoder, 1, SEED))
+    assert "0.01 s allowed, for input 0" in told
+
+
+def test_memory_that_is_kept_is_found() -> None:
+    kept: list[bytes] = []
+
+    def keep(data: bytes) -> None:
+        if data != b"seed":
+            kept.append(b"x" * (LARGEST_GROWTH_BYTES // 4))
+
+    # The limit of CPU time is not what is tested here.
+    decoder = Decoder("keeping", [b"seed"], keep, cpu_bound_s=float("inf"))
+    (told,) = excesses(decoder, tried(decoder, 10, SEED))
+    assert "the memory grew by" in told
+
+
+def test_a_trial_ends_in_its_time() -> None:
+    found = tried(Decoder("good", [b"seed"], lambda _: None), 10, SEED, seconds=-1.0)
+    assert found.read + found.refused == 0
 
 
 def test_mutations_are_the_same_for_a_seed_and_differ_otherwise() -> None:

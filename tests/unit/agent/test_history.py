@@ -14,12 +14,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from journal_surgery import add_event, change_end, operate, remove_results
+from journal_surgery import add_event, change_dates, change_end, operate, remove_results
 from journaled import SETTINGS, journaled, run_id
 from prometheus_client.parser import text_string_to_metric_families
 from volcal_command import volcal
 
 from agent.cli.main import main
+from agent.execution.journal import Journal
 from agent.execution.run_record import read_record, run_ids
 from agent.execution.states import RunState
 from agent.history.cached_trends import CachedTrends
@@ -34,6 +35,7 @@ from agent.history.sync import sync, sync_ends
 from agent.history.trends import AlarmKind, trend_of
 from agent.settings.history import HistorySettings
 from agent.settings.schema import Settings
+from drivers.clock import VirtualClock, utc_timestamp
 from drivers.errors import ConfigurationError, InputError, LinkLost
 
 ROLES = ("machine", "probe", "store", "thermometer", "operator", "mount")
@@ -128,6 +130,34 @@ class TestFeeding:
         changed = sync_ends(state, store)
         assert changed
         assert {run.run_id for run in store.runs() if run.reason == "mended"} == set(changed)
+
+    def test_what_was_added_to_a_run_after_its_end_is_stored_too(self, state: Path, store: HistoryStore) -> None:
+        """The next start takes back a table that was never proved: a decision of the run that had ended."""
+        journaled(state, 0)
+        journaled(state, 1)
+        sync_ends(state, store)
+        journal = Journal(state)
+        aside = journal.continue_run(1, run_id(0), VirtualClock())[0].aside()
+        aside.decision("restore/activated", {"bank": 1})
+        journal.close()
+        assert sync_ends(state, store) == (run_id(0),)
+        assert [decision.kind for decision in next(iter(store.runs())).decisions][-1] == "restore/activated"
+        assert sync_ends(state, store) == ()
+
+    def test_a_run_whose_end_is_stored_is_not_read_again(
+        self, state: Path, store: HistoryStore, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Each run writes its outcome just after its end. With 1000 runs, to read all of them would take a minute."""
+        journaled(state, 0)
+        change_dates(state, run_id(0), "2026-11-01T02:00:00.000Z", utc_timestamp())
+        journal = Journal(state)
+        journal.continue_run(1, run_id(0), VirtualClock())[0].aside().decision("outcome", {"machine_minutes": 83.5})
+        journal.close()
+        sync_ends(state, store)
+        read: list[str] = []
+        monkeypatch.setattr("agent.history.sync.read_record", lambda _, chosen: read.append(chosen))
+        assert sync_ends(state, store) == ()
+        assert read == []
 
     def test_runs_without_what_belongs_to_them(self, state: Path, store: HistoryStore) -> None:
         journaled(state, 0)

@@ -9,8 +9,10 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from service_house import PATIENCE_S, House, house
 
+from agent.errors import Busy
 from agent.execution.journal import Journal
 from agent.execution.rig import Rig
 from agent.execution.states import RunState
@@ -18,9 +20,12 @@ from agent.runs.reconcile import reconcile
 from agent.runs.reconcile_result import CompensationState, ReconcileAction, Reconciliation
 from agent.runs.run_request import RunRequest
 from agent.service.control import LinkState
+from agent.service.owner import owner
+from agent.service.owner.idle_reader import idle_reading
 from agent.service.state.controller_reading import ControllerReading, read_controller
 from agent.service.state.event_log import EventLog
 from agent.service.state.status_board import IdleStatus, StatusBoard
+from agent.settings.service import ServiceSettings
 from drivers.clock import VirtualClock
 from drivers.errors import LinkLost, VolcalError
 from drivers.roles import TableImage
@@ -132,6 +137,50 @@ def test_a_run_waits_for_a_reading_in_progress_and_its_result_is_dropped(
         assert built.owner.status().read_problem == ""
 
 
+def test_a_request_waits_for_a_device_that_hangs_only_so_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with house(tmp_path) as built:
+        slow = SlowMachine()
+        monkeypatch.setattr(type(built.machine), "read", slow.read)
+        monkeypatch.setattr(owner, "READING_LIMIT_S", 0.01)
+        reading = threading.Thread(target=built.owner.read_idle)
+        reading.start()
+        assert slow.begun.wait(PATIENCE_S)
+        for ask in (lambda: started(built), built.owner.reset):
+            with pytest.raises(Busy, match="has not ended after"):
+                ask()
+        assert not built.owner.busy
+        slow.answer.set()
+        reading.join(PATIENCE_S)
+        started(built)
+        assert len(built.puppet.started) == 1
+
+
+def test_the_end_of_the_service_awaits_a_reading_in_progress(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with house(tmp_path) as built:
+        slow = SlowMachine()
+        monkeypatch.setattr(type(built.machine), "read", slow.read)
+        service = built.owner.settings.service.model_copy(update={"idle_read_period_s": 3600.0})
+        monkeypatch.setattr(built.owner, "settings", built.owner.settings.model_copy(update={"service": service}))
+
+        def answer_when_stopped() -> None:
+            while built.owner.await_change(0.01):
+                pass
+            slow.answer.set()
+
+        with idle_reading(built.owner):
+            assert slow.begun.wait(PATIENCE_S)
+            threading.Thread(target=answer_when_stopped).start()
+            assert not slow.answer.is_set()
+        assert slow.answer.is_set()
+        assert not [thread for thread in threading.enumerate() if thread.name == "idle-reader"]
+
+
+def test_the_reader_ends_with_the_service_also_between_two_readings(tmp_path: Path) -> None:
+    with house(tmp_path) as built, idle_reading(built.owner):
+        built.owner.close(0.0)
+    assert not [thread for thread in threading.enumerate() if thread.name == "idle-reader"]
+
+
 def test_the_comparison_at_the_start_of_the_service_waits_for_a_reading_in_progress(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -162,6 +211,13 @@ def test_the_comparison_at_the_start_of_the_service_waits_for_a_reading_in_progr
         assert len(built.machine.asked) == len(asked) + 1
 
 
+@pytest.mark.parametrize("period_s", [1e-3, 0.99])
+def test_a_period_in_which_the_devices_would_be_opened_all_the_time_is_refused(period_s: float) -> None:
+    with pytest.raises(ValidationError, match="must be 0"):
+        ServiceSettings(idle_read_period_s=period_s)
+    assert ServiceSettings(idle_read_period_s=1.0).idle_read_period_s == 1.0
+
+
 class Device:
     def __init__(self, error: VolcalError | None = None) -> None:
         self.error, self.log = error, list[str]()
@@ -190,6 +246,17 @@ def test_each_device_says_for_itself_whether_it_answers() -> None:
     )
     assert found == ControllerReading((LinkState("cnc"), LinkState("mount", "refused")), 2)
     assert (cnc.log, mount.log) == (["open", "close"], ["open"])
+
+
+class LookedAt(Device):
+    def open_to_look(self) -> None:
+        self.log.append("look")
+
+
+def test_a_device_that_can_be_looked_at_is_not_opened_for_a_run() -> None:
+    cnc = LookedAt()
+    found = read(SimpleNamespace(active_bank=lambda: 2, pending_bank=lambda: None), cnc=cnc)
+    assert (found.active_bank, cnc.log) == (2, ["look", "close"])
 
 
 def test_a_store_that_fails_in_mid_reading_leaves_nothing_known() -> None:

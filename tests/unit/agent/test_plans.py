@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from touched_ball import TouchedBall
 
 from agent.errors import MeasurementFault
 from agent.execution import steps as s
@@ -19,8 +21,10 @@ from agent.execution.encoding import encode_step
 from agent.execution.tip_trace import LastMotion
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
+from agent.probing.ball_consistency import InconsistentBall
 from agent.probing.paths.approach_points import TipLocation
 from agent.probing.paths.shortest_path import ShortestPathPlanner, _TipState
+from agent.probing.position import PositionTask, measure_position
 from agent.probing.publish import choose_bank, stage_table
 from agent.probing.recovery import withdraw
 from agent.probing.run_plan import MeasuringOrder, measure_positions
@@ -249,6 +253,74 @@ def test_the_way_out_of_an_artefact_that_stands_off_keeps_inside_the_travel(posi
             assert (lower <= step.target_mm).all(), step
             assert (step.target_mm <= upper).all(), step
     assert corners
+
+
+class KnockedRow(TouchedBall):
+    """Four balls in a row, all of them displaced by `knock_mm` before the first step of ball `at`."""
+
+    def __init__(self, task: PositionTask, at: int, knock_mm: float) -> None:
+        super().__init__(task.predicted_mm[0], CONTACT_MM, lambda *_: 0.0)
+        self.predicted_mm = task.predicted_mm
+        self.knock_mm = knock_mm
+        self.at_ball = at
+        self.shift_mm = np.zeros(3)
+
+    def to(self, step: s.Step) -> Any:
+        match step:
+            case s.ReadTemperatures():
+                return {"artefact": 20.0}
+            case s.ReadClock():
+                return 0.0
+            case s.MoveTo() | s.TouchTowards() if "/ball-" in step.key:
+                ball = int(step.key.partition("/ball-")[2][:2])
+                if ball == self.at_ball:
+                    self.shift_mm = np.array([0.0, 0.0, self.knock_mm])
+                self.centre_mm = self.predicted_mm[ball] + self.shift_mm
+        return super().to(step)
+
+
+@pytest.mark.parametrize("knock_mm", [1.0, -2.0, 0.0])
+def test_balls_after_one_that_is_not_where_the_others_place_it_are_located_first(knock_mm: float) -> None:
+    """The mount was knocked between two balls: the balls that follow are off by as much as the first one was found."""
+    row_mm = np.array([1500.0, 700.0, 400.0]) + np.outer(np.arange(4.0) * 120.0, [1.0, 0.0, 0.0])
+    task = PositionTask("row", 0, 1, 0.0, 0.0, row_mm, np.ones(4, dtype=bool))
+    rules = replace(JOB.rules, drift=replace(JOB.rules.drift, limit_mm=10.0))
+    player = KnockedRow(task, 2, knock_mm)
+    found = player.run(measure_position(task, row_mm[0], rules))
+    assert found.lost == 0
+    off_mm = {ball.ball: ball.found.centre_mm - row_mm[ball.ball] for ball in found.balls}
+    assert {ball: off[2] for ball, off in off_mm.items()} == pytest.approx({0: 0.0, 3: 0.0, 2: knock_mm, 1: knock_mm})
+    located = {key.partition("/locate/")[0] for key in player.touched if "/locate/" in key}
+    assert located == ({"row/ball-01", "row/ball-00/again"} if knock_mm else set())
+
+
+class TwoInDoubt:
+    """Consistency check that finds two balls inconsistent until they have been measured once more."""
+
+    asked = 0
+
+    def inconsistent(self, _: object) -> tuple[InconsistentBall, ...]:
+        self.asked += 1
+        return tuple(InconsistentBall(ball, 0, 9.0, 1.0) for ball in (3, 2)) if self.asked == 1 else ()
+
+
+class KnockedOnceMore(KnockedRow):
+    """Row that is displaced when ball 3 is measured once more."""
+
+    def to(self, step: s.Step) -> Any:
+        if "/ball-03/once-more/" in step.key:
+            self.at_ball = 3
+        return super().to(step)
+
+
+def test_a_row_that_is_knocked_when_balls_are_measured_once_more_is_located_again() -> None:
+    row_mm = np.array([1500.0, 700.0, 400.0]) + np.outer(np.arange(4.0) * 120.0, [1.0, 0.0, 0.0])
+    task = PositionTask("row", 0, 1, 0.0, 0.0, row_mm, np.ones(4, dtype=bool))
+    rules = replace(JOB.rules, drift=replace(JOB.rules.drift, limit_mm=10.0), consistency=TwoInDoubt())
+    player = KnockedOnceMore(task, -1, 1.0)
+    player.run(measure_position(task, row_mm[0], rules))
+    located = {key.partition("/locate/")[0] for key in player.touched if "/locate/" in key}
+    assert located == {"row/ball-02/once-more", "row/ball-00/again"}
 
 
 def test_touches_that_locate_no_ball_end_at_it_with_the_reason() -> None:

@@ -64,6 +64,21 @@ def test_the_progress_of_a_run_is_never_read_as_markup(capsys: pytest.CaptureFix
     assert "\x1b" not in said
 
 
+def test_the_console_shows_a_preflight_before_the_minutes_are_known(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    preflight = {"phase": "preflight", "fraction": 0.0, "minutes_left": None, "simulated_steps": 1400}
+    with watching(Console(width=200)) as listener:
+        listener(Announcement("progress", "preflight", preflight))
+    said = capsys.readouterr().out
+    assert "1400 steps simulated" in said
+    with watching(Console(width=200)) as listener:
+        listener(Announcement("progress", "", {"phase": "probe-check", "fraction": 0.0, "minutes_left": 64.2}))
+    said = capsys.readouterr().out
+    assert "64 min left" in said
+    assert "probe-check" in said
+
+
 def test_errors_are_printed_without_obeying_them(capsys: pytest.CaptureFixture[str]) -> None:
     fail(InputError(f"'{EVIL}' is not a number"))
     assert "\x1b" not in capsys.readouterr().err

@@ -11,7 +11,7 @@ import pytest
 from agent.errors import MeasurementFault
 from agent.execution.engine import Engine
 from agent.execution.rig import Rig
-from agent.thermal.readings import Thermometers, read_conditions
+from agent.thermal.settling import SettlingRules, read_conditions
 from drivers.clock import VirtualClock
 
 
@@ -24,7 +24,7 @@ def rig_reading(readings_c: dict[str, float]) -> Rig:
 def test_a_thermometer_that_gives_no_number_gives_no_reading(broken: float) -> None:
     engine = Engine(rig_reading({"artefact": broken, "machine": 20.5}).actions())
     with pytest.raises(MeasurementFault, match="no reading of artefact; readings: machine"):
-        engine.run(read_conditions("ball-00", Thermometers()))
+        engine.run(read_conditions("ball-00", SettlingRules(), None))
     engine = Engine(rig_reading({"artefact": 21.0, "machine": broken}).actions())
-    found = engine.run(read_conditions("ball-00", Thermometers()))
+    found = engine.run(read_conditions("ball-00", SettlingRules(), None))
     assert (found.artefact_c, found.machine_c) == (21.0, None)

@@ -529,5 +529,9 @@ def test_what_it_is_doing_in_words() -> None:
     key = "measure/station-1/az0-el-45/ball-06/touch-2"
     assert doing(RunState.MEASURING, key, "verify") == "measuring: station 1, azimuth 0°, elevation -45°, ball 6"
     assert doing(RunState.MEASURING, "before/active-bank", "verify") == "measuring: preparing"
+    check = "probe/station-2/az0-el45/ball-00/qualify/touch-3/above"
+    place = "station 2, azimuth 0°, elevation 45°, ball 0"
+    assert doing(RunState.MEASURING, check, "calibrate", "qualification") == f"qualifying the stylus: {place}"
+    assert doing(RunState.MEASURING, key, "calibrate", "measuring").startswith("measuring: station 1")
     assert doing(RunState.STAGING, key, "calibrate") == "writing the new table into the inactive bank"
     assert all(doing(state, "", None) for state in RunState)

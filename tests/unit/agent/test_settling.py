@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 import pytest
 
-from agent.errors import MeasurementFault
+from agent.errors import MeasurementFault, ThermometerFault
 from agent.execution import steps as s
 from agent.settings.temperature import TemperatureSettings
 from agent.thermal.position_drift import DriftLimits, judge_drift
 from agent.thermal.readings import Conditions, Thermometers, rate_k_per_h
-from agent.thermal.settling import SettlingRules, wait_until_settled
+from agent.thermal.settling import SettlingRules, read_conditions, wait_until_settled
 
 RULES = SettlingRules(max_rate_k_per_h=5.0, max_departure_k=4.0, poll_interval_s=60.0, deadline_s=1800.0)
 
 
-def played(plan: s.Plan[Any], bar_c: Callable[[float], float]) -> tuple[list[s.Step], Any]:
-    """Steps and conclusion; time passes in dwells alone."""
+def played(
+    plan: s.Plan[Any], bar_c: Callable[[float], float | None], waited_s: Mapping[str, float] | None = None
+) -> tuple[list[s.Step], Any]:
+    """Steps and conclusion; time passes in dwells alone, which last as long as they say or as `waited_s` says."""
     now = 0.0
     seen: list[s.Step] = []
     answer: Any = None
@@ -29,11 +31,13 @@ def played(plan: s.Plan[Any], bar_c: Callable[[float], float]) -> tuple[list[s.S
             seen.append(step)
             match step:
                 case s.ReadTemperatures():
-                    answer = {"artefact": bar_c(now)}
+                    value = bar_c(now)
+                    answer = {} if value is None else {"artefact": value}
+                    step.require(answer, now)
                 case s.ReadClock():
                     answer = now
                 case s.Dwell():
-                    now, answer = now + step.duration_s, None
+                    now, answer = now + (waited_s or {}).get(step.key, step.duration_s), None
                 case _:
                     answer = None
     except StopIteration as stop:
@@ -57,17 +61,49 @@ def test_a_run_waits_for_an_artefact_that_is_too_warm_and_says_why() -> None:
     assert len({step.key for step in seen}) == len(seen)
 
 
-@pytest.mark.parametrize(("before_s", "before_c"), [(-10.0, 18.9), (-10.0, 21.7), (-3600.0, 14.2)])
-def test_a_thermometer_that_jumps_ends_the_run(before_s: float, before_c: float) -> None:
+@pytest.mark.parametrize(("before_s", "before_c"), [(-60.0, 18.9), (-60.0, 21.8), (-3600.0, 14.2)])
+def test_a_thermometer_that_jumps_is_read_again_and_ends_the_run_at_a_step_without_a_result(
+    before_s: float, before_c: float
+) -> None:
     plan = wait_until_settled("measure/station-1/az0-el0", RULES, [Conditions(before_s, before_c)])
-    with pytest.raises(MeasurementFault, match=f"jumped from {before_c:.2f} to 20.30 °C") as caught:
+    with pytest.raises(ThermometerFault, match=f"jumped from {before_c:.2f} to 20.30 °C.*read 3 times more") as caught:
         played(plan, lambda _: 20.3)
-    assert caught.value.where["step"] == "measure/station-1/az0-el0"
+    assert caught.value.where["step"] == "measure/station-1/az0-el0/read-again-3"
+
+
+def wild_until(end_s: float, wild_c: float | None) -> Callable[[float], float | None]:
+    return lambda now: wild_c if now < end_s else 20.3
+
+
+@pytest.mark.parametrize("wild_c", [85.0, -127.0, 0.0, None])
+@pytest.mark.parametrize(("end_s", "not_used"), [(1.0, 1), (6.0, 2), (15.0, 3)])
+def test_a_reading_in_doubt_is_replaced_by_one_that_agrees_with_the_former_and_noted(
+    wild_c: float | None, end_s: float, not_used: int
+) -> None:
+    seen, found = played(read_conditions("b", RULES, Conditions(-10.0, 20.2)), wild_until(end_s, wild_c))
+    assert found == Conditions(5.0 * not_used, 20.3)
+    [note] = [dict(step.payload) for step in seen if isinstance(step, s.Record)]
+    assert note["readings_not_used"] == not_used
+    assert ("no reading of artefact" if wild_c is None else f"to {wild_c:.2f} °C") in note["note"]
+    assert len({step.key for step in seen}) == len(seen)
+
+
+@pytest.mark.parametrize("before", [None, Conditions(-10.0, 20.2)])
+def test_a_thermometer_that_stays_silent_ends_the_run_at_a_step_without_a_result(before: Conditions | None) -> None:
+    with pytest.raises(ThermometerFault, match="no reading of artefact"):
+        played(read_conditions("b", RULES, before), lambda _: None)
+
+
+def test_a_thermometer_that_agrees_again_when_the_run_is_resumed_hours_later_is_used() -> None:
+    """The last reading is judged at the time at which it is made, and the artefact may have changed until then."""
+    plan = read_conditions("b", RULES, Conditions(-10.0, 20.2))
+    _, found = played(plan, wild_until(15.0 + 1.0, 85.0), waited_s={"b/read-again-3/wait": 7200.0})
+    assert found == Conditions(7210.0, 20.3)
 
 
 @pytest.mark.parametrize(("before_s", "before_c"), [(-10.0, 19.4), (-3600.0, 14.4), (-8.0 * 3600.0, 24.0)])
-def test_a_change_that_an_artefact_can_make_is_no_jump(before_s: float, before_c: float) -> None:
-    RULES.require_no_jump("key", Conditions(before_s, before_c), Conditions(0.0, 20.3))
+def test_a_change_that_an_artefact_can_make_is_no_doubt(before_s: float, before_c: float) -> None:
+    assert RULES.doubt(Conditions(before_s, before_c), {"artefact": 20.3}, 0.0) == ""
 
 
 def test_at_the_deadline_it_gives_up_and_says_what_to_do() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -20,16 +21,19 @@ from drivers.errors import (
     MotionFault,
     PermissionMissing,
     ProtocolError,
+    StoreError,
 )
 from drivers.modbus_cnc.device import ModbusCnc
 from drivers.modbus_cnc.settings import ModbusCncSettings
 from drivers.roles import (
     CompensationStore,
+    LookOnlyDevice,
     Machine,
     Miss,
     MotionState,
     Permission,
     Probe,
+    TableImage,
     Thermometer,
     Touch,
 )
@@ -454,6 +458,37 @@ def test_a_silent_controller_is_a_timeout(cnc: ModbusCnc, plc: FakePlc) -> None:
 def test_a_fault_of_the_lost_heartbeat_is_cleared_when_the_agent_is_back(plc: FakePlc, clock: VirtualClock) -> None:
     plc.registers[1004], plc.registers[1005] = 3, 6
     with opened(plc, clock) as cnc:
+        assert cnc.status().state is MotionState.IDLE
+    assert plc.commands == [24]
+
+
+def test_a_look_at_a_faulted_controller_writes_nothing_and_refuses_every_write(
+    plc: FakePlc, clock: VirtualClock
+) -> None:
+    plc.registers[1004], plc.registers[1005] = 3, 6
+    cnc = ModbusCnc(ModbusCncSettings(host="127.0.0.1", port=plc.port), clock, "cnc")
+    assert isinstance(cnc, LookOnlyDevice)
+    cnc.open_to_look()
+    with closing(cnc):
+        assert cnc.status().state is MotionState.FAULT
+        assert (cnc.active_bank(), cnc.pending_bank()) == (0, None)
+        image = TableImage((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1e-4, np.zeros((2, 2, 2, 3), dtype=np.int32))
+        target_mm = np.array([110.0, 200.0, 300.0])
+        for write in (
+            cnc.reset,
+            cnc.hold,
+            cnc.resume,
+            lambda: cnc.move_to(target_mm, feed_mm_per_s=None, guarded=False),
+            lambda: cnc.touch_towards(target_mm, feed_mm_per_s=1.0),
+            lambda: cnc.stage(1, image),
+            lambda: cnc.activate(0),
+        ):
+            with pytest.raises((CommandRejected, StoreError), match="opened only to read"):
+                write()
+        cnc.stop()
+    assert {request[7] for request in plc.requests} == {3}
+    cnc.open()
+    with closing(cnc):
         assert cnc.status().state is MotionState.IDLE
     assert plc.commands == [24]
 

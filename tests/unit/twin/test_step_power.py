@@ -81,6 +81,17 @@ def test_the_smallest_step_is_found_with_its_probability(error: str) -> None:
     assert half < POWER - 0.1
 
 
+@pytest.mark.parametrize("false_alarm", [1e-4, FALSE_ALARM, 0.2])
+def test_what_finds_a_step_is_decided_as_with_the_limit_of_the_evidence(false_alarm: float) -> None:
+    limit = power().evidence_for(false_alarm)
+    sizes = [power().smallest(error, limit).size for error in SQUARENESS]
+    largest = max(size for size in sizes if size is not None)
+    assert power().finds(SQUARENESS, 1.0001 * largest, false_alarm)
+    assert not power().finds(SQUARENESS, 0.9999 * largest, false_alarm)
+    assert not power().finds(SQUARENESS, 1e-3, false_alarm), "a step that an evidence of 0 does not find either"
+    assert power().finds(SQUARENESS, 1e4, false_alarm), "a step that the largest evidence finds"
+
+
 def test_false_alarms_stay_below_their_bound() -> None:
     limit = power().evidence_for()
     assert power().false_alarm(limit) == pytest.approx(FALSE_ALARM, rel=1e-6)

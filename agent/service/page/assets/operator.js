@@ -7,7 +7,7 @@ import { openResiduals } from "./residuals.js";
 import { openResult } from "./result-card.js";
 import { openScene } from "./scene.js";
 import { on, seen } from "./store.js";
-import { AT_REST, doing, eventText } from "./wording.js";
+import { AT_REST, doing, eventText, phaseText, runText } from "./wording.js";
 
 const RECENT = 4, MINUTE_S = 60;
 
@@ -20,19 +20,20 @@ const FACTS = [
 
 export function openOperator() {
   const view = byId("view-operator");
+  const kind = make("p", { className: "kind", id: "kind" });
   const words = make("p", { className: "doing", id: "doing" });
-  const bar = make("div", { className: "done" });
-  const track = make("div", { className: "track", role: "progressbar" }, bar);
+  const whole = progressBar("track"), own = progressBar("track own");
   const percent = make("span"), left = make("span", { id: "minutes-left" });
+  const phase = make("p", { className: "phase", id: "phase" });
   const cards = make("div", { id: "cards" });
   const facts = make("dl", { className: "facts", id: "tiles" });
   const stage = make("div", { className: "stage" }), residuals = make("section", { className: "residuals" });
   const recent = make("ul", { className: "recent", id: "recent" });
-  const progress = make("div", { className: "progress" }, track, make("div", { className: "figures" }, percent, left));
+  const progress = make("div", { className: "progress" }, whole.track, make("div", { className: "figures" }, percent, left), own.track, phase);
   const result = make("div", { id: "result-place" }), links = make("ul", { className: "links", id: "links" });
-  const above = make("div", { className: "now" }, words, progress);
+  const above = make("div", { className: "now" }, kind, words, progress);
   view.replaceChildren(stage, make("div", { className: "side" }, above, cards, facts, links, result, residuals, recent));
-  const show = () => seen.status && render(seen.status, { words, progress, bar, track, percent, left, cards, facts, links });
+  const show = () => seen.status && render(seen.status, { kind, words, progress, whole, own, percent, left, phase, cards, facts, links });
   const showRecent = () => recent.replaceChildren(...seen.events.slice(0, RECENT).map(eventLine));
   on("status", show);
   on("event", showRecent);
@@ -46,13 +47,16 @@ export function openOperator() {
 function render(status, parts) {
   const now = doing(status);
   if (parts.words.textContent !== now) parts.words.textContent = now;
-  const share = Math.round(100 * status.fraction);
+  parts.kind.textContent = runText(status);
   parts.progress.hidden = AT_REST.has(status.state);
-  parts.bar.style.width = `${share}%`;
-  parts.track.setAttribute("aria-valuenow", share);
-  parts.track.setAttribute("aria-label", say("progress.name"));
-  parts.percent.textContent = status.run_id ? `${number(share, 0)} %` : "";
-  parts.left.textContent = status.minutes_left === null ? "" : say("progress.left", { minutes: number(status.minutes_left, 0) });
+  const { fraction, minutes_left: left, phase_fraction: ofPhase } = status;
+  /* The minutes of the run are not known before the end of the preflight. */
+  parts.progress.classList.toggle("preflight", left === null && status.phase === "preflight");
+  fill(parts.whole, fraction, say("progress.name"));
+  fill(parts.own, ofPhase, say("progress.phase"));
+  parts.percent.textContent = left === null ? "" : `${number(Math.round(100 * fraction), 0)} %`;
+  parts.left.textContent = left === null ? "" : say("progress.left", { minutes: number(Math.ceil(left), 0) });
+  parts.phase.textContent = phaseText(status);
   parts.facts.replaceChildren(...FACTS.map(([name, text]) => make("div", {}, make("dt", {}, say(name)), make("dd", {}, text(status)))));
   parts.links.ariaLabel = say("link.title");
   parts.links.replaceChildren(...status.links.map(linkMark));
@@ -66,6 +70,21 @@ function render(status, parts) {
   if (parts.cards.dataset.shown === shown) return;
   parts.cards.dataset.shown = shown;
   parts.cards.replaceChildren(...cards);
+}
+
+function progressBar(className) {
+  const bar = make("div", { className: "done" });
+  return { bar, track: make("div", { className, role: "progressbar" }, bar) };
+}
+
+/* A fraction that is not known shows as a moving bar without a value. */
+function fill({ bar, track }, fraction, name) {
+  const share = fraction === null ? null : Math.round(100 * fraction);
+  track.setAttribute("aria-label", name);
+  track.classList.toggle("unknown", share === null);
+  bar.style.width = share === null ? "" : `${share}%`;
+  if (share === null) track.removeAttribute("aria-valuenow");
+  else track.setAttribute("aria-valuenow", share);
 }
 
 const eventLine = (event) => make("li", {}, make("time", { dateTime: event.at }, timeOfDay(event.at)), " ", eventText(event));

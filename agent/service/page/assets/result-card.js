@@ -7,27 +7,30 @@ import { on, seen } from "./store.js";
 import { AT_REST, verdictMark } from "./wording.js";
 
 const LAST = "/api/runs?limit=1";
-const now = { key: null, run: null };
+const now = { key: null, run: null, unanswered: false };
 
 export function openResult(place) {
   const show = () => render(place);
   on("status", async ({ state, run_id, balls }) => {
     const key = AT_REST.has(state) ? `${state} ${run_id} ${balls}` : null;
-    if (key !== now.key) {
-      now.key = key;
-      now.run = key === null ? null : await lastRun();
+    if (key !== now.key || now.unanswered) {
+      Object.assign(now, { key, unanswered: false });
+      const run = key === null ? null : await lastRun();
+      if (now.key !== key) return;
+      Object.assign(now, { run: run ?? null, unanswered: run === undefined });
     }
     show();
   });
   onLanguage(show);
 }
 
+/* Undefined if the service did not answer: the next status asks again. */
 async function lastRun() {
   try {
     return (await read(LAST)).runs[0] ?? null;
   } catch (error) {
     if (!(error instanceof Refused)) throw error;
-    return null;
+    return undefined;
   }
 }
 

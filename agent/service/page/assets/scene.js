@@ -58,12 +58,13 @@ class View {
     this.step = step;
   }
 
-  /* Only the response to the latest request is used: a late one must not show an outdated plan. */
+  /* Only the response to the latest request is used: a late one must not show an outdated plan. Until it is there, the
+     plan that is drawn stays, without a message over it. */
   async load() {
     const mine = ++this.asked;
     try {
       if (!this.plan) await this.drawMachine();
-      this.showMessage("scene.computing");
+      if (!this.plan) this.showMessage("scene.computing");
       const plan = readPlan(JSON.stringify(await read("/api/plan")));
       if (mine !== this.asked) return;
       const first = this.plan === null;

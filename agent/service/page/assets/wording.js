@@ -1,8 +1,9 @@
 /* Plain-text status of the machine from its state and the key of the step. */
 import { make } from "./dom.js";
-import { number, say } from "./language.js";
+import { known, number, say } from "./language.js";
 
 const MOVING = new Set(["measuring", "verifying", "held"]);
+const CHECKS = new Set(["probe-check", "qualification", "reversal", "homing"]);
 const KEY = /^([\w-]+)(?:\/station-(\d+))?(?:\/az(-?[\d.]+)-el(-?[\d.]+))?(?:\/ball-(\d+))?/;
 
 export const LOOKS = {
@@ -47,9 +48,26 @@ export function doing(status) {
   }
   if (verdict && AT_REST.has(state)) return say(`verdict.${verdict.name}.is`);
   if (state === "idle") return idleWords(status);
-  const words = say(`doing.${named(state)}`);
+  const words = say(`doing.${state === "measuring" && CHECKS.has(status.phase) ? status.phase : named(state)}`);
   const where = MOVING.has(state) ? stepWords(step) : "";
   return where ? `${words}: ${where}` : words;
+}
+
+/* Kind of the run in progress, or of the one whose end is shown, and its position set. */
+export function runText({ kind, position_set: set }) {
+  if (!kind) return "";
+  const name = known(`kind.${kind}`) ? say(`kind.${kind}`) : kind;
+  return kind === "calibrate" && set ? `${name} · ${set}` : name;
+}
+
+/* Phase of the run with its progress; of a preflight without a former one, the number of steps simulated so far. */
+export function phaseText({ phase, phase_fraction: fraction, phase_minutes_left: minutes, simulated_steps: steps }) {
+  if (!phase) return "";
+  const name = say(`phase.${named(phase)}`);
+  const parts = [fraction === null ? null : `${number(Math.round(100 * fraction), 0)} %`];
+  if (minutes !== null) parts.push(say(minutes < 1 ? "progress.seconds" : "progress.left", { minutes: number(Math.ceil(minutes), 0), seconds: number(Math.ceil(60 * minutes), 0) }));
+  if (phase === "preflight" && fraction === null) parts.push(steps ? say("progress.simulated", { steps: number(steps, 0) }) : say("progress.planning"));
+  return [name, ...parts].filter(Boolean).join(" · ");
 }
 
 export function placeOf(step) {

@@ -1,0 +1,1 @@
+"""Many runs in one service: memory, handles, threads and disk space per run."""

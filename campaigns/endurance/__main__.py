@@ -1,0 +1,129 @@
+"""Endurance of the service: many runs, one after another, in one service process, with clients that read and abort.
+
+    python -m campaigns.endurance [--runs 1000] [--csv endurance.csv]
+
+The machine is simulated and is reached over Modbus TCP and CAN. The first run is a calibration; then verifications
+follow. Every tenth run is a calibration again, and every tenth is aborted while it measures, and reset. After each run
+clients read what the page reads, and an event stream is opened and dropped.
+
+The output ends with one line of JSON. The exit code is 0 only if memory, file handles and threads do not grow with the
+number of runs, every run has ended as it should, the machine had no collision, and the service ends on SIGTERM.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from datetime import timedelta
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # must be set before numpy is imported
+
+import numpy as np
+import structlog
+
+from benchmarks.places import memory_directory, write_csv
+from campaigns.endurance.process_use import Use, growth_per_run
+from campaigns.fortnight.incidents import FIRST_EVENING
+from campaigns.fortnight.plant import FortnightPlant
+from campaigns.fortnight.play import SHORT
+from campaigns.fortnight.service_process import STATUS_POLL_S, ServiceHost, wait_for
+
+EVERY = 10
+LARGEST_GROWTH_MB = 0.1
+"""Largest growth of the memory per run that is no leak: a service of 300 MB has doubled after ten years of nights."""
+READ_AFTER_A_RUN = ("/api/status", "/api/runs", "/api/machine", "/api/tables", "/metrics", "/api/page/trends", "/")
+
+Row = dict[str, Any]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", type=int, default=1000)
+    parser.add_argument("--csv", type=Path, help="write one row for each run")
+    given = parser.parse_args(arguments)
+    if given.runs < EVERY:
+        parser.error(f"--runs must be at least {EVERY}, so that each kind of run occurs")
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.ERROR))
+    began = perf_counter()
+    plant = FortnightPlant(SHORT.scenario, lambda _: 1)
+    with memory_directory("endurance") as directory, ServiceHost(Path(directory), plant.ready, SHORT.changes) as host:
+        host.set_time(FIRST_EVENING)
+        host.serve()
+        rows = [_run(host, number) for number in range(given.runs)]
+        ended = host.stop()
+    plant.switch_off()
+    if given.csv is not None:
+        write_csv(rows, given.csv)
+    result = judged(rows) | {"exit_code": ended, "collisions": plant.collisions}
+    result["passed"] = result["passed"] and ended == 0 and plant.collisions == 0
+    print(json.dumps(result | {"wall_seconds": round(perf_counter() - began, 1)}, allow_nan=False))
+    return 0 if result["passed"] else 1
+
+
+def _run(host: ServiceHost, number: int) -> Row:
+    """Carry out one run, let the clients read, and return what the service then uses."""
+    host.set_time(FIRST_EVENING + timedelta(days=number))
+    kind = "calibrate" if number % EVERY == 0 else "verify"
+    aborted = number % EVERY == EVERY // 2
+    request = {"kind": kind, "source": "page", "consent": True, **({"stations": [1]} if kind == "verify" else {})}
+    run_id = host.post("/api/start", request).raise_for_status().json()["run_id"]
+    if aborted:
+        wait_for(lambda: host.status()["state"] == "measuring", "the measurement", STATUS_POLL_S)
+        host.post("/api/abort", {"reason": "a person walks in"}, token=False).raise_for_status()
+    state = host.at_rest(run_id)["state"]
+    if state in ("aborted", "faulted"):
+        host.post("/api/reset").raise_for_status()
+    host.read((*READ_AFTER_A_RUN, f"/api/runs/{run_id}"))
+    use = Use.of(host.pid, host.state)
+    row = {"run": number + 1, "kind": "aborted" if aborted else kind, "state": state, **asdict(use)}
+    print(f"{number + 1:4d} {kind:9s} {state:9s} {use.memory_mb:6.1f} MB, {use.handles} handles, ", end="")
+    print(f"{use.threads} threads, {use.disk_mb:.1f} MB on disk, {use.cpu_s:.1f} s", flush=True)
+    return row
+
+
+def judged(rows: Sequence[Row]) -> Row:
+    """Return the growth per run, and whether it is none."""
+    columns = {name: np.array([row[name] for row in rows], dtype=float) for name in ("memory_mb", "disk_mb", "cpu_s")}
+    half = len(rows) // 2
+    disk = np.diff(columns["disk_mb"], prepend=0.0)
+    kinds = sorted({str(row["kind"]) for row in rows})
+
+    def per_run(values: np.ndarray, kind: str, part: slice) -> float:
+        chosen = [float(value) for row, value in zip(rows[part], values[part], strict=True) if row["kind"] == kind]
+        return round(float(np.median(chosen)), 3) if chosen else 0.0
+
+    growth_mb = growth_per_run(columns["memory_mb"])
+    counts = {name: [int(row[name]) for row in rows] for name in ("handles", "threads")}
+    # the pools of threads and handles are filled in the first half
+    steady = all(max(values[half:]) <= max(values[:half]) for values in counts.values())
+    ended_well = all(row["state"] == ("aborted" if row["kind"] == "aborted" else "complete") for row in rows)
+    return {
+        "passed": ended_well and steady and growth_mb <= LARGEST_GROWTH_MB,
+        "runs": len(rows),
+        "ended_well": ended_well,
+        "memory_mb": [round(float(columns["memory_mb"][index]), 1) for index in (0, half, -1)],
+        "memory_growth_mb_per_run": round(growth_mb, 4),
+        "handles": [max(counts["handles"][:half]), max(counts["handles"][half:])],
+        "threads": [max(counts["threads"][:half]), max(counts["threads"][half:])],
+        "disk_mb_per_run": {
+            kind: [per_run(disk, kind, slice(half)), per_run(disk, kind, slice(half, None))] for kind in kinds
+        },
+        "cpu_s_per_run": {
+            kind: [
+                per_run(np.diff(columns["cpu_s"], prepend=0.0), kind, part) for part in (slice(half), slice(half, None))
+            ]
+            for kind in kinds
+        },
+    }
+
+
+if __name__ == "__main__":
+    sys.exit(main())
