@@ -31,7 +31,7 @@ from agent.service.state.reports import ReportQueue
 from agent.service.state.status_board import StatusBoard
 from agent.settings.schema import Settings
 from campaigns.aborts.case import FORMER_BANK, FORMER_TABLE
-from campaigns.resume.case import KillableClock, prepare_case
+from campaigns.resume.case import prepare_case
 from drivers.clock import Clock, VirtualClock
 from drivers.errors import LinkLost
 from drivers.roles import Miss, Touch, Vector
@@ -228,7 +228,7 @@ class Scene:
         return Owner(settings, parts)
 
     def _rig(self, _: Settings, clock: Clock, __: Path) -> Rig:
-        device: Any = LinkedDevice(SimulatedMachineDevice(self.world, KillableClock(clock, self.world, None)), self)
+        device: Any = LinkedDevice(SimulatedMachineDevice(self.world, clock), self)
         return Rig({"twin": device}, device, device, {1: device}, device, device, device, clock)
 
     def _carry_out(

@@ -46,7 +46,6 @@ MOVES_ON = {S.ABORTING, S.ABORTED, S.FAULTED}
 SETTLE_S = 60.0
 STANDING_MM = 1e-6
 LONGEST_PASS = 400
-STARTS = ("start", "restore_table", "resume_run")
 
 
 @dataclass
@@ -243,8 +242,8 @@ class RequestTrial:
             self._violated(f"the axes moved by {moved:g} mm after the end {status.state.value}")
 
     def _prove(self, status: Status) -> None:
-        """Add the active table to the proved ones if a restoration was asked for, or if the journal has what was touched
-        with this table active, the acceptance, and the table itself."""
+        """Add the active table to the proved ones if a restoration was asked for, or if the journal has touches with this
+        table active, the acceptance, and the table itself."""
         row, (bank, digest) = self._journal_row(), self.scene.table
         proved = status.kind == "restore"
         if row is not None and not proved:
