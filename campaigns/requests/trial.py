@@ -242,8 +242,8 @@ class RequestTrial:
             self._violated(f"the axes moved by {moved:g} mm after the end {status.state.value}")
 
     def _prove(self, status: Status) -> None:
-        """Add the active table to the proved ones if a restoration was asked for, or if the journal has touches with this
-        table active, the acceptance, and the table itself."""
+        """Add the active table to the proved ones if a restoration was asked for, or if the journal has the table, the
+        touches of its verification and its acceptance."""
         row, (bank, digest) = self._journal_row(), self.scene.table
         proved = status.kind == "restore"
         if row is not None and not proved:
