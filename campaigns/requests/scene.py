@@ -31,7 +31,7 @@ from agent.service.state.reports import ReportQueue
 from agent.service.state.status_board import StatusBoard
 from agent.settings.schema import Settings
 from campaigns.aborts.case import FORMER_BANK, FORMER_TABLE
-from campaigns.resume.case import prepare_case
+from campaigns.resume.case import KillableClock, prepare_case
 from drivers.clock import Clock, VirtualClock
 from drivers.errors import LinkLost
 from drivers.roles import Miss, Touch, Vector
@@ -113,12 +113,17 @@ class Turnstile:
 
 
 class TurnstileClock(VirtualClock):
-    """Virtual clock that begins at the present time of the world, in s, and whose waits pass the turnstile."""
+    """Virtual clock that begins at the present time of the world and advances it; its waits pass the turnstile.
 
-    def __init__(self, began_s: float, turnstile: Turnstile) -> None:
+    The world does not follow the clock of the run: that does not count holds, and in a resumed run it continues from the
+    interrupted one.
+    """
+
+    def __init__(self, world: World, turnstile: Turnstile) -> None:
         super().__init__()
-        self._now = began_s
+        self._now = world.now
         self._turnstile = turnstile
+        self.subscribe(world.advance_to)
 
     def sleep(self, duration_s: float) -> None:
         self._turnstile.pass_through()
@@ -220,7 +225,7 @@ class Scene:
             ownership=self._owned,
             journal_state=JournalState(state),
             reports=self.reports,
-            machine=MachineAccess(Devices(self._rig, lambda _: TurnstileClock(self.world.now, self.turnstile))),
+            machine=MachineAccess(Devices(self._rig, lambda _: TurnstileClock(self.world, self.turnstile))),
             carry_out=self._carry_out,
             resume=self._resume,
             circumstances=lambda: AT_NIGHT,
@@ -228,7 +233,7 @@ class Scene:
         return Owner(settings, parts)
 
     def _rig(self, _: Settings, clock: Clock, __: Path) -> Rig:
-        device: Any = LinkedDevice(SimulatedMachineDevice(self.world, clock), self)
+        device: Any = LinkedDevice(SimulatedMachineDevice(self.world, KillableClock(clock, self.world, None)), self)
         return Rig({"twin": device}, device, device, {1: device}, device, device, device, clock)
 
     def _carry_out(

@@ -31,7 +31,7 @@ NEXT: dict[RunState, set[RunState]] = {
     S.ABORTED: {S.IDLE},
     S.FAULTED: {S.IDLE},
     S.PREFLIGHT: {S.PREFLIGHT, S.RESUMING, S.MEASURING, S.STAGING, S.REFUSED, S.COMPLETE},
-    S.RESUMING: {S.MEASURING, S.RESUMING, S.REFUSED},
+    S.RESUMING: {S.RESUMING, S.REFUSED, S.MEASURING, S.IDENTIFYING, S.STAGING, S.ACTIVATING, S.VERIFYING, S.RESTORING},
     S.MEASURING: {S.IDENTIFYING, S.RESTORING, S.HELD, S.REFUSED},
     S.HELD: {S.MEASURING, S.VERIFYING},
     S.IDENTIFYING: {S.STAGING, S.REFUSED, S.COMPLETE},
@@ -68,7 +68,7 @@ class RequestTrial:
         self.scene: Scene = self._stack.enter_context(scene_in(directory))
         self._proved = {self.scene.table}
         self._runs = 0
-        self._running = self._closed = self._answered = self._was_cut = False
+        self._running = self._closed = self._answered = self._was_cut = self._unattended = False
         self._history: list[str] = []
         self._listen()
 
@@ -89,7 +89,8 @@ class RequestTrial:
         known = self.scene.owner.settings.stations.standing_at is not None
         request = RunRequest(kind=kind, source=source, consent=consent)
         may_be_refused = not known and not (consent and kind != "nightly")
-        self._begin("start", lambda: self.scene.owner.start(request), may_be_refused=may_be_refused)
+        if self._begin("start", lambda: self.scene.owner.start(request), may_be_refused=may_be_refused):
+            self._unattended = not consent  # a question that nobody answers ends it
 
     def restore_table(self, choose: Choose) -> None:
         tables = self._tables()
@@ -184,18 +185,21 @@ class RequestTrial:
     def _status(self) -> Status:
         return self.scene.owner.status()
 
-    def _begin(self, name: str, begin: Callable[[], str], *, may_be_refused: bool) -> None:
+    def _begin(self, name: str, begin: Callable[[], str], *, may_be_refused: bool) -> bool:
+        """Request a run. Return True if it was accepted."""
         offered = ("resume_run" if name == "resume_run" else "start") in self._status.may and not self._closed
         # A start first takes back an unproved table; the status shows what the last comparison has found.
         restored_first = self._status.unproved is not None and not self._running and not self._closed
         excused = may_be_refused or restored_first
-        if self._ask(name, begin, offered, excused=excused):
-            self._runs += 1
-            self._running, self._was_cut, self.scene.aborted = True, self.scene.link.cut, False
-            self._answered = False
-            if self.scene.table not in self._proved:
-                self._violated(f"{name} accepted while an unproved table is active")
-            self.scene.turnstile.await_run(self._runs)
+        if not self._ask(name, begin, offered, excused=excused):
+            return False
+        self._runs += 1
+        self._running, self._was_cut, self.scene.aborted = True, self.scene.link.cut, False
+        self._answered = self._unattended = False
+        if self.scene.table not in self._proved:
+            self._violated(f"{name} accepted while an unproved table is active")
+        self.scene.turnstile.await_run(self._runs)
+        return True
 
     def _ask(self, name: str, request: Callable[[], object], allowed: bool, *, excused: bool = False) -> bool:
         """Make a request. Return True if it was accepted; compare the answer with `allowed`."""
@@ -236,6 +240,8 @@ class RequestTrial:
             self._violated(f"table {scene.table} is active after {status.state.value} without a proof")
         if status.state in {S.ABORTED, S.FAULTED, S.REFUSED} and not status.alarms:
             self._violated(f"{status.state.value} without a cause")
+        if status.state is S.FAULTED and not (self._was_cut or self._closed or self._unattended):
+            self._violated(f"{status.kind} faulted on a sound machine: {status.alarms[0].text}")
         scene.world.advance_to(scene.world.now + SETTLE_S)
         moved = max(abs(now - then) for now, then in zip(scene.position_mm, place, strict=True))
         if moved > STANDING_MM and not self._was_cut:
@@ -244,7 +250,7 @@ class RequestTrial:
     def _prove(self, status: Status) -> None:
         """Add the active table to the proved ones if a restoration was asked for, or if the journal has the table, the
         touches of its verification and its acceptance."""
-        row, (bank, digest) = self._journal_row(), self.scene.table
+        row, (bank, digest) = self._journal_row(status), self.scene.table
         proved = status.kind == "restore"
         if row is not None and not proved:
             with open_journal(self.scene.state_directory) as reader:
@@ -271,8 +277,8 @@ class RequestTrial:
             self._violated(f"collisions {scene.world.collisions}")
             scene.world.collisions.clear()
         self._check_events()
-        row = self._journal_row()
-        if row is not None and status.run_id == row.run_id:
+        row = self._journal_row(status)
+        if row is not None:
             self._check_journal(status, row)
 
     def _check_events(self) -> None:
@@ -299,11 +305,13 @@ class RequestTrial:
         if not agrees:
             self._violated(f"the journal says {row.state} (ended {row.ended}), the status {status.state.value}")
 
-    def _journal_row(self) -> RunRow | None:
+    def _journal_row(self, status: Status) -> RunRow | None:
+        """Run that is shown. It need not be the last one in the journal: a later run that ended before it had measured
+        does not hide one that can be resumed."""
         if not has_journal(self.scene.state_directory):
             return None
         with open_journal(self.scene.state_directory) as reader:
-            return reader.last_run()
+            return reader.run(status.run_id)
 
     def _tables(self) -> list[tuple[str, str]]:
         """Run and role of each stored table, and one that does not exist."""
