@@ -64,9 +64,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
     count, began, trial = Count(), perf_counter(), 0
-    while count.steps.total() < given.steps and perf_counter() - began < given.wall_minutes * S_PER_MIN:
+    ends_s = began + given.wall_minutes * S_PER_MIN
+    while count.steps.total() < given.steps and perf_counter() < ends_s:
         steps = min(STEPS_PER_TRIAL, given.steps - count.steps.total())
-        play(np.random.default_rng([given.seed, trial]), steps, count)
+        play(np.random.default_rng([given.seed, trial]), steps, count, ends_s)
         trial += 1
     result = {"steps": count.steps.total(), "trials": trial, "seed": given.seed, **summarise(count)}
     passed = not count.violations
@@ -74,12 +75,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if passed else 1
 
 
-def play(rng: Generator, steps: int, count: Count) -> None:
-    """Carry out one trial of so many steps, and add what happened to `count`."""
+def play(rng: Generator, steps: int, count: Count, ends_s: float) -> None:
+    """Carry out one trial of so many steps, or until `ends_s` of `perf_counter`, and add what happened to `count`."""
     with tempfile.TemporaryDirectory(prefix="volcal-requests-") as directory:
         trial = RequestTrial(Path(directory), count)
         try:
             for _ in range(steps):
+                if perf_counter() > ends_s:
+                    break
                 shares = AT_REST_SHARES if trial.at_rest else RUNNING_SHARES
                 trial.perform(str(rng.choice(NAMES, p=shares)), lambda n: int(rng.integers(n)))
         finally:

@@ -115,8 +115,8 @@ class Turnstile:
 class TurnstileClock(VirtualClock):
     """Virtual clock that begins at the present time of the world and advances it; its waits pass the turnstile.
 
-    The world does not follow the clock of the run: that does not count holds, and in a resumed run it continues from the
-    interrupted one.
+    The world does not follow the clock of the run, which does not count holds and which, in a resumed run, continues
+    from the interrupted one.
     """
 
     def __init__(self, world: World, turnstile: Turnstile) -> None:
