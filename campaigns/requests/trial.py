@@ -93,7 +93,7 @@ class RequestTrial:
             self._unattended = not consent  # a question that nobody answers ends it
 
     def restore_table(self, choose: Choose) -> None:
-        tables = self._tables()
+        tables = self.stored_tables()
         run_id, role = tables[choose(len(tables))]
         source = SOURCES[choose(len(SOURCES))]
         unknown = run_id == "unknown"
@@ -313,7 +313,7 @@ class RequestTrial:
         with open_journal(self.scene.state_directory) as reader:
             return reader.run(status.run_id)
 
-    def _tables(self) -> list[tuple[str, str]]:
+    def stored_tables(self) -> list[tuple[str, str]]:
         """Run and role of each stored table, and one that does not exist."""
         if not has_journal(self.scene.state_directory):
             return [("unknown", "backup")]
