@@ -41,6 +41,8 @@ RUNNING = {
     **{"resume": 1.5, "start": 0.2, "restore_table": 0.1},
 }
 """Weights while a run is in progress. With more aborts, runs would hardly come beyond their first touches."""
+CLOSED = {"end_service": 5.0, "go_on": 0.1, "go_to_the_next_state": 0.1}
+"""Weights while the service is closed and no run is in progress: it starts again soon."""
 NAMES = list(ACTIONS)
 MAX_LISTED = 20
 S_PER_MIN = 60.0
@@ -49,11 +51,11 @@ S_PER_MIN = 60.0
 def shares_of(weights: Mapping[str, float]) -> NDArray[np.float64]:
     """Return the probability of each of `NAMES`, an array of their number; the weight of a name that is not among
     `weights` is 1."""
-    drawn = np.array([weights.get(name, 1.0) for name in NAMES])
-    return drawn / drawn.sum()
+    drawn = [weights.get(name, 1.0) for name in NAMES]
+    return np.array([weight / sum(drawn) for weight in drawn])
 
 
-AT_REST_SHARES, RUNNING_SHARES = shares_of(AT_REST), shares_of(RUNNING)
+AT_REST_SHARES, CLOSED_SHARES, RUNNING_SHARES = shares_of(AT_REST), shares_of(CLOSED), shares_of(RUNNING)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -83,10 +85,15 @@ def play(rng: Generator, steps: int, count: Count, ends_s: float) -> None:
             for _ in range(steps):
                 if perf_counter() > ends_s:
                     break
-                shares = AT_REST_SHARES if trial.at_rest else RUNNING_SHARES
-                trial.perform(str(rng.choice(NAMES, p=shares)), lambda n: int(rng.integers(n)))
+                trial.perform(str(rng.choice(NAMES, p=_shares(trial))), lambda n: int(rng.integers(n)))
         finally:
             trial.close()
+
+
+def _shares(trial: RequestTrial) -> NDArray[np.float64]:
+    if not trial.at_rest:
+        return RUNNING_SHARES
+    return CLOSED_SHARES if trial.closed else AT_REST_SHARES
 
 
 def summarise(count: Count) -> dict[str, object]:

@@ -70,6 +70,7 @@ class RequestTrial:
         self._runs = 0
         self._running = self._closed = self._answered = self._was_cut = self._unattended = False
         self._history: list[str] = []
+        self._shown = S.IDLE
         self._listen()
 
     def close(self) -> None:
@@ -180,6 +181,11 @@ class RequestTrial:
     def at_rest(self) -> bool:
         """True if no run is in progress."""
         return not self._running
+
+    @property
+    def closed(self) -> bool:
+        """True if the service was ended and has not been started again."""
+        return self._closed
 
     @property
     def _status(self) -> Status:
@@ -308,7 +314,7 @@ class RequestTrial:
     def _journal_row(self, status: Status) -> RunRow | None:
         """Run that is shown. It need not be the last one in the journal: a later run that ended before it had measured
         does not hide one that can be resumed."""
-        if not has_journal(self.scene.state_directory):
+        if status.run_id is None or not has_journal(self.scene.state_directory):
             return None
         with open_journal(self.scene.state_directory) as reader:
             return reader.run(status.run_id)
