@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup run test quick long-forms check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming foreign linuxcnc grbl faults crash-points power-cuts fuzz fuzz-guided http-interface gcode part-programs schema reference figures deb deb-test clean
+.PHONY: setup run test quick long-forms check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming foreign linuxcnc grbl faults crash-points power-cuts requests fuzz fuzz-guided http-interface gcode part-programs schema reference figures deb deb-test clean
 
 setup: $(STAMP)
 
@@ -125,6 +125,12 @@ crash-points: setup
 power-cuts: setup
 	.ci/install strace
 	$(BIN)/python -m campaigns.power_cuts --seed $(SEED)
+
+# Random requests to the owner of the machine at all moments of real runs in virtual time, with a link that fails. Half an
+# hour of CPU time; ends with one line of JSON.
+STEPS ?= 100000
+requests: setup
+	$(BIN)/python -m campaigns.requests --steps $(STEPS) --seed $(SEED)
 
 # A million lines of a part program corrected: seconds, memory, and the ratio to one block at a time.
 gcode: setup

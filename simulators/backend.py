@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from drivers.clock import Clock, Deadline, VirtualClock
+from drivers.clock import Clock, Deadline, VirtualClock, without_interrupts
 from drivers.errors import CommandRejected, GuardTripped, MotionFault, StoreError
 from drivers.roles import (
     AxisLimits,
@@ -235,7 +235,8 @@ class SimulatedMachineDevice:
     # ------------------------------------------------------------------ time
 
     def _catch_up(self) -> None:
-        self.world.advance_to(self._clock.now())
+        # A clock with interrupts does not count holds, but the machine stands still during them and grows warm or cold.
+        self.world.advance_to(without_interrupts(self._clock).now())
 
     def _await_motion(self) -> None:
         self._sleep_until(self._motion_ends_s)

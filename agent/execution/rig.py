@@ -153,7 +153,8 @@ class Rig:
     def await_standstill(self) -> None:
         """Wait until the axes of the machine stand still.
 
-        While the axes brake, a controller accepts neither a move nor the activation of another compensation table.
+        While the axes brake, a controller accepts neither a move nor a resumption nor the activation of another
+        compensation table.
         """
         deadline = Deadline.after(self.clock, STANDSTILL_WITHIN_S)
         while self.machine.status().state is MotionState.MOVING:

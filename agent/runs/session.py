@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,7 +39,7 @@ from agent.runs.run_start import enter_in_journal, last_preflight, read_start_co
 from agent.runs.step_progress import StepProgress
 from agent.settings.schema import ClockSettings
 from drivers.clock import Clock, InterruptibleClock, utc_timestamp, wall_seconds
-from drivers.errors import UserError, VolcalError
+from drivers.errors import LinkError, UserError, VolcalError
 from twin.units import S_PER_MIN
 
 
@@ -148,6 +148,8 @@ def open_rig(context: RunContext) -> Iterator[None]:
         tracker.hold()
 
     def resume() -> None:
+        with suppress(LinkError):  # a link that is being restored: no motion is followed, and none has to be resumed
+            rig.await_standstill()  # a controller ignores a resumption while it still brakes for the hold
         rig.machine.resume()
         tracker.resume()
 

@@ -56,8 +56,9 @@ class Reconnection:
 
     @property
     def available(self) -> bool:
-        """True if a lost link would be restored now."""
-        return self._max_attempts > 0 and not self._suspensions
+        """True if a lost link would be restored now; False also for a request that is made while it is being restored,
+        from inside a sleep between two attempts."""
+        return self._max_attempts > 0 and not self._suspensions and not self.in_progress
 
     def repeat(self, failure: LinkError, reopen: Callable[[], None], request: Callable[[], T]) -> T:
         """Open the link again and return the result of `request`; raise `failure` if this is not possible in time."""

@@ -350,6 +350,7 @@ class Controller:
         motion.law = motion.law.braked_from(self.now_s, motion.command.acceleration)
         motion.forecast = forecast_motion(motion.law, motion.events, motion.command.acceleration)
         self._on_motion()
+        self.advance_to(self.now_s)  # a motion that has not left its start, or stands at its end, ends at once
 
     def _handle_trip(self, motion: _Motion, instant_s: float) -> None:
         if motion.command.kind is MoveKind.GUARDED:

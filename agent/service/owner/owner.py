@@ -102,6 +102,7 @@ class Owner:
         stored_table(self.settings.state_directory, run_id, role)
         running = self._reserve()
         try:
+            self.reconcile()
             kind = Restoration(run_id, next(known for known in TABLE_ROLES if known == role))
             hooks = self._hooks.hooks(running, job.settings.clock, attended=True)
         except BaseException:

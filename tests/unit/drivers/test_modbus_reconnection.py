@@ -181,6 +181,10 @@ def test_a_hold_during_the_attempts_does_no_harm(plc: FakePlc, clock: VirtualClo
             asked.append("hold")
             cnc.hold()
             clock.sleep(30.0)
+            began_s = clock.now()
+            with pytest.raises(LinkLost):  # at once: only the interrupted request restores the link
+                cnc.status()
+            assert clock.now() == began_s
             cnc.resume()
 
     with opened(plc, InterruptibleClock(clock, check)) as cnc:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from worlds import REACH, TOOL, before_ball, case_study, device, ideal_world
 
+from agent.execution.supervisor import Supervisor
 from drivers.clock import InterruptibleClock, VirtualClock
 from drivers.errors import CommandRejected, DeadlineExpired, GuardTripped, MotionFault, StoreError
 from drivers.roles import (
@@ -98,6 +99,30 @@ def test_a_wait_that_is_broken_off_stops_the_machine() -> None:
     inner.advance_to(60.0)
     assert world.controller.motion is MotionState.IDLE
     assert 100.0 < world.controller.displayed_position()[0] < 130.0
+
+
+def test_a_hold_longer_than_the_margin_of_a_motion_is_no_missed_deadline_and_no_later_motion_takes_longer() -> None:
+    """The clock of the machine is not the world's own, as with a simulated machine on the wall clock."""
+    inner, world = VirtualClock(), ideal_world()
+    supervisor = Supervisor(inner)
+    clock = InterruptibleClock(inner, supervisor.check)
+    played = SimulatedMachineDevice(world, clock)
+    played.open()
+    supervisor.on_hold, supervisor.on_resume = played.hold, played.resume
+
+    def people(now: float) -> None:
+        if 1.0 <= now < 2.0:
+            supervisor.request_hold()
+        if now >= 601.0:
+            supervisor.request_resume()
+
+    inner.subscribe(people)
+    played.move_to(np.array([1000.0, 0.0, 0.0]), feed_mm_per_s=100.0, guarded=False)
+    assert played.position().tolist() == [1000.0, 0.0, 0.0]
+    assert inner.now() == pytest.approx(601.0 + 9.4, abs=0.2)  # 10.2 s less 1 s, and two more ramps
+    began_s = clock.now()
+    played.move_to(np.zeros(3), feed_mm_per_s=100.0, guarded=False)
+    assert clock.now() - began_s == pytest.approx(10.2, abs=1e-9)
 
 
 def test_a_machine_held_for_ever_is_a_missed_deadline() -> None:

@@ -176,6 +176,22 @@ def test_a_hold_brakes_and_a_resume_goes_on_to_the_same_latch() -> None:
     assert controller.latch.position == pytest.approx(centre - FORWARD * REACH, abs=1e-9)
 
 
+def test_a_motion_that_has_not_left_its_start_ends_with_the_hold_or_the_halt() -> None:
+    world = ideal_world()
+    controller = world.controller
+    target = np.array([1000.0, 0.0, 0.0])
+    controller.begin_move(target, 100.0, guarded=False)
+    controller.hold()
+    assert (controller.motion, controller.motion_ends_s) == (MotionState.HELD, None)
+    controller.resume()
+    run(world)
+    assert controller.displayed_position().tolist() == target.tolist()
+    controller.begin_move(np.zeros(3), 100.0, guarded=False)
+    controller.halt()
+    assert (controller.motion, controller.motion_ends_s) == (MotionState.IDLE, None)
+    assert controller.displayed_position().tolist() == target.tolist()
+
+
 def test_a_halt_forgets_the_command_and_may_be_said_twice() -> None:
     world = ideal_world()
     controller = world.controller
