@@ -78,7 +78,9 @@ class BridgeLink:
         """Start the bridge process between volcal and LinuxCNC.
 
         If `look_only` is True, the bridge has no means to send commands to LinuxCNC, and all requests but queries are
-        refused until the link is closed. Raises LinkLost if the bridge cannot be started or if LinuxCNC does not run, and ProtocolError if the version of
+        refused until the link is closed.
+
+        Raises LinkLost if the bridge cannot be started or if LinuxCNC does not run, and ProtocolError if the version of
         the bridge's protocol is not the expected one.
         """
         with self._lock:

@@ -39,7 +39,6 @@ from drivers.serial_cnc.settings import SerialCncSettings
 from drivers.serial_cnc.status_tracker import StatusTracker
 from drivers.serial_cnc.store import BankStore
 
-
 RESTARTS_WHEN_OPENED = "the board may restart when its port is opened; if it does not, set restarts_when_opened = false"
 
 
