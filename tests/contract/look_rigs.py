@@ -37,6 +37,7 @@ FIRST_MM, SECOND_MM = np.array([1000.0, 100.0, 300.0]), np.array([1400.0, 120.0,
 TABLE = TableImage((0.0, 0.0, 0.0), (2000.0, 1300.0, 750.0), 1e-4, np.full((3, 2, 3, 3), 25, dtype=np.int32))
 MEANWHILE_S = 1.0
 """Machine time from the beginning of a motion to the look at the machine."""
+NMT_STOP = 0x02
 numbers = itertools.count()
 
 
@@ -159,8 +160,8 @@ class ModbusLook(ControllerLook):
         taken, self._record[:] = list(self._record), []
         return taken
 
-    def writes(self) -> list[str]:
-        return [one for one in self.received() if one.startswith("write")]
+    def is_query(self, received: str) -> bool:
+        return received.startswith("read")
 
     def state(self) -> object:
         registers = self._registers
@@ -196,8 +197,8 @@ class GrblLook(ControllerLook):
         self._record.clear()
         return taken
 
-    def writes(self) -> list[str]:
-        return [one for one in self.received() if one != "?"]
+    def is_query(self, received: str) -> bool:
+        return received == "?"
 
     def state(self) -> object:
         controller = self.port.controller
@@ -263,21 +264,19 @@ class CanLook(LookRig):
         return mount.home, lambda: mount.orient_to(30.0, 10.0)
 
     def received(self) -> list[str]:
-        return [f"{identifier:03X} {data.hex()}" for identifier, data in self._frames()]
-
-    def writes(self) -> list[str]:
-        """Return all frames to the drives but SDO uploads and aborts of them (command specifiers 2, 3 and 4 of CiA 301)."""
-        return [
-            f"{identifier:03X} {data.hex()}" for identifier, data in self._frames() if not _is_query(identifier, data)
-        ]
-
-    def _frames(self) -> list[tuple[int, bytes]]:
-        """Return the frames on the bus that no drive has sent."""
+        """Return the frames on the bus that no drive has sent, as identifier and data in hexadecimal."""
         seen = []
         while (message := self.bus.recv(0.0)) is not None:
-            if message.arbitration_id & 0x780 not in (0x580, 0x700):
-                seen.append((message.arbitration_id, bytes(message.data)))
-        return [frame for frame in seen if not 0x81 <= frame[0] <= 0xFF]
+            identifier = message.arbitration_id
+            of_a_drive = identifier & 0x780 in (0x580, 0x700) or 0x81 <= identifier <= 0xFF
+            if not of_a_drive:
+                seen.append(f"{identifier:03X} {bytes(message.data).hex()}")
+        return seen
+
+    def is_query(self, received: str) -> bool:
+        """Return True for SDO uploads and their aborts: command specifiers 2, 3 and 4 of CiA 301."""
+        identifier, data = received.split()
+        return int(identifier, 16) & 0x780 == 0x600 and int(data[:2], 16) >> 5 in (2, 3, 4)
 
     def state(self) -> object:
         return self._simulated.state(), [
@@ -300,6 +299,11 @@ class CanLook(LookRig):
             self._mounts.fail(1, fault)
         self._simulated.clock.sleep(1.0)  # the drive reacts to its fault and reports it
 
+    def stop_nodes(self) -> None:
+        with self._simulated.shared.lock:
+            for node, _ in self._mounts._drives.values():
+                node.receive(0x000, bytes((NMT_STOP, node.node_id)))
+
     def move_with_another_client(self, meanwhile: Callable[[], None]) -> None:
         if not self.can_move:
             return
@@ -310,10 +314,6 @@ class CanLook(LookRig):
             reached = other.orient_to(60.0, 20.0)
         assert (round(reached.azimuth_deg, 2), round(reached.elevation_deg, 2)) == (60.0, 20.0)
         assert once.done
-
-
-def _is_query(identifier: int, data: bytes) -> bool:
-    return identifier & 0x780 == 0x600 and data[0] >> 5 in (2, 3, 4)
 
 
 @contextmanager
@@ -372,6 +372,6 @@ def canopen(base: Path, condition: str) -> Iterator[LookRig]:
         if condition == "fault":
             look.fail("over_current")
         if condition == "stopped":
-            sniffer.send(can.Message(arbitration_id=0, data=bytes((2, 0)), is_extended_id=False))
+            look.stop_nodes()
             look.answers = False
         yield look
