@@ -17,8 +17,9 @@ class ServiceSettings(StrictModel):
     """Settings of the service. `host` is the listening address; any address except loopback requires a certificate.
 
     An unattended start is permitted only within `hours` (local time, for example 22:00-05:30). This computer must also
-    have been on for at least `warm_up_minutes`. If `idle_read_period_s` is not 0, the devices are asked once per this period
-    between runs, without moving, resetting or writing anything; a device of which this cannot be said is not opened.
+    have been on for at least `warm_up_minutes`. If `idle_read_period_s` is not 0, the devices are asked once per this
+    period between runs, without moving, resetting or writing anything; a device of which this cannot be said is not
+    opened.
     """
 
     host: str = "127.0.0.1"
