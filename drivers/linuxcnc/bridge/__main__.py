@@ -68,7 +68,7 @@ class Bridge:
 
     def __init__(self, *, look_only: bool = False) -> None:
         self._look_only = look_only
-        self._command = None if look_only else linuxcnc.command()
+        self._command: Any = None if look_only else linuxcnc.command()  # None: whatever needs it is refused before
         self._stat = linuxcnc.stat()
         self._channel = None if look_only else linuxcnc.error_channel()
         self._component = hal.component(f"volcal-bridge-{os.getpid()}")
@@ -241,7 +241,7 @@ class Bridge:
 
     def _take_messages(self) -> list[str]:
         """Return LinuxCNC's error messages since the last call; none if the bridge only reads."""
-        messages = []
+        messages: list[str] = []
         if self._channel is None:
             return messages
         for _ in range(100):
