@@ -16,6 +16,7 @@ from live import Live
 from requirements import requires_linuxcnc
 
 from drivers.contract.look_contract import LookOnlyContract, LookRig
+from drivers.linuxcnc.bridge_link import BRIDGE
 from drivers.linuxcnc.device import LinuxCnc
 from drivers.roles import TableImage
 
@@ -144,3 +145,13 @@ def test_a_look_takes_no_message_from_the_panels(live: Live) -> None:
         device.status()
     with live.bystander() as panel:
         assert "a message for the operator" in panel.ask("status")["errors"]
+
+
+@pytest.mark.parametrize("request_text", ["abort", "mdi", "mode", "home", "pause", "resume", "on", "hal_set"])
+def test_the_bridge_itself_refuses_what_does_not_read(live: Live, request_text: str) -> None:
+    request = json.dumps({"id": 1, "do": request_text, "mode": "manual", "line": "G0", "name": PINS[0], "value": 1})
+    command = [*live.process.bridge_command, str(BRIDGE), "look"]
+    told = subprocess.run(command, input=f"{request}\n", check=True, capture_output=True, text=True, timeout=600.0)
+    answer = json.loads(told.stdout.splitlines()[-1])
+    assert (answer["id"], answer["error"]) == (1, "refused")
+    assert "only reads" in answer["text"]
