@@ -34,7 +34,7 @@ _log = structlog.get_logger("canopen_mount")
 
 class DriveNode:
     """CANopen node of a drive; `axis` is its name in error messages. If `look_only` is True, all writes and commands
-    are refused.
+    are refused, and no request is repeated.
 
     An SDO request that is not answered is repeated once, so it takes up to twice `sdo_timeout_s` of wall time. Requests
     that write are repeated, too, because writing a value twice has no further effect: target positions are absolute,
@@ -182,6 +182,8 @@ class DriveNode:
         try:
             return self._exchange_once(entry, exchange)
         except LinkTimeout:
+            if self._look_only:
+                raise  # the next look repeats it; a drive that is off would fill the log
             _log.warning("SDO answer missing, request repeated", object=entry, **self.where)
             return self._exchange_once(entry, exchange)
 

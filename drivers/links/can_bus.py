@@ -31,6 +31,8 @@ from drivers.links.can_adapters import ECHOING_INTERFACES, CanAddress, SlcanBus,
 
 for _library in ("can", "canopen"):  # errors that they log are raised as typed errors here
     logging.getLogger(_library).addHandler(logging.NullHandler())
+# A drive that is off would otherwise leave a line of this library in the log with each look.
+logging.getLogger("canopen.sdo.client").addFilter(lambda record: record.levelno < logging.ERROR)
 
 RECEIVE_CYCLE_S = 0.1
 """Longest wait of the receiving thread for one frame in s; closing the bus takes up to this long."""
