@@ -4,6 +4,8 @@ which a look must change nothing."""
 from __future__ import annotations
 
 import itertools
+import os
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
@@ -38,6 +40,9 @@ TABLE = TableImage((0.0, 0.0, 0.0), (2000.0, 1300.0, 750.0), 1e-4, np.full((3, 2
 MEANWHILE_S = 1.0
 """Machine time from the beginning of a motion to the look at the machine."""
 NMT_STOP = 0x02
+MARK = b"\xfe"
+"""Byte that means nothing to GRBL."""
+PATIENCE_S = 600.0
 numbers = itertools.count()
 
 
@@ -184,15 +189,20 @@ class GrblLook(ControllerLook):
         self.port = port
         self._record = bytearray()
         self._files = base
+        self._marked = threading.Event()
         received = port.controller.received
 
         def recorded(data: bytes) -> None:
-            self._record += data
-            received(data)
+            own = data.replace(MARK, b"")
+            self._record += own
+            received(own)
+            if own != data:
+                self._marked.set()
 
         port.controller.received = recorded  # type: ignore[method-assign]
 
     def received(self) -> list[str]:
+        self._await_all()
         taken = [chr(byte) for byte in self._record]
         self._record.clear()
         return taken
@@ -201,6 +211,7 @@ class GrblLook(ControllerLook):
         return received == "?"
 
     def state(self) -> object:
+        self._await_all()
         controller = self.port.controller
         receiver = controller._receiver
         files = {file: file.read_bytes() for file in sorted(self._files.rglob("*")) if file.is_file()}
@@ -215,6 +226,16 @@ class GrblLook(ControllerLook):
 
     def commands(self) -> Sequence[Callable[[], object]]:
         return (*super().commands(), cast(SerialCnc, self.device).home_axes)
+
+    def _await_all(self) -> None:
+        """Wait until the controller has received what was written to the line before."""
+        self._marked.clear()
+        line = os.open(self.port.line.device_path, os.O_WRONLY | os.O_NOCTTY)
+        try:
+            os.write(line, MARK)
+        finally:
+            os.close(line)
+        assert self._marked.wait(PATIENCE_S)
 
     def type(self, data: bytes) -> None:
         """Feed bytes to the controller, as another program or a person does."""
