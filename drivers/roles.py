@@ -227,12 +227,27 @@ class RestorableLink(Protocol):
 
 @runtime_checkable
 class LookOnlyDevice(Protocol):
-    """Device that can be read without any effect on the connected equipment."""
+    """Device that can be read without any effect on the connected equipment, unless it gives a reason why not.
 
-    def open_to_look(self) -> None:
-        """Connect as `Device.open` does, but write nothing. Until the device is closed, it refuses whatever would write
-        to the connected equipment."""
+    Nothing moves, and no fault, alarm, lock, mode or message of the equipment changes.
+    """
+
+    def why_no_look(self) -> str:
+        """Return the reason why the equipment cannot be read without an effect, in words; an empty text if it can.
+        Sends nothing."""
         ...
+
+    def open_to_look(self, *, tables: bool = False) -> None:
+        """Connect and verify that the equipment answers, but write nothing. Until the device is closed, it refuses
+        whatever would write to the equipment, and `stop` does nothing.
+
+        The active and the pending bank can be read, and with `tables` also the tables in the banks. A controller that
+        shows a table only block by block is then told which block to show, and nothing else. Raises CommandRejected
+        if `why_no_look` gives a reason.
+        """
+        ...
+
+    def close(self) -> None: ...
 
 
 @runtime_checkable

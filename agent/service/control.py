@@ -44,14 +44,16 @@ class Alarm:
 
 @dataclass(frozen=True)
 class LinkState:
-    """Link of the device `device`. `problem` is the reason why the device cannot be reached; it is empty if it can."""
+    """Link of the device `device`. `problem` is the reason why the device cannot be reached; it is empty if it can.
+    `unread` is the reason why the device is not read between runs, in which case it is not known whether it answers."""
 
     device: str
     problem: str = ""
+    unread: str = ""
 
     @property
     def ok(self) -> bool:
-        return not self.problem
+        return not self.problem and not self.unread
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,7 @@ class Status:
     - `active_bank` is the bank that the controller was last seen to apply. It is None if it is not known;
       `read_problem` then says why the controller could not be read.
     - `read_age_s` is the time in s since it was read between runs; None if it never was, or while a run is in progress.
-    - `links` says of each device whether it answered when it was last asked.
+    - `links` says of each device whether it answered when it was last asked, or why it is not read between runs.
     - `written_not_active` is the bank whose table has been written but becomes active only when the controller is
       restarted.
     """

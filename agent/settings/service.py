@@ -17,9 +17,9 @@ class ServiceSettings(StrictModel):
     """Settings of the service. `host` is the listening address; any address except loopback requires a certificate.
 
     An unattended start is permitted only within `hours` (local time, for example 22:00-05:30). This computer must also
-    have been on for at least `warm_up_minutes`. If `idle_read_period_s` is not 0, the devices are opened and asked once
-    per this period between runs. Over Modbus this writes nothing unless the active bank is not the
-    one shown before; any other driver does what it does whenever it opens its device.
+    have been on for at least `warm_up_minutes`. If `idle_read_period_s` is not 0, the devices are asked once per this
+    period between runs, without moving, resetting or writing anything; a device of which this cannot be said is not
+    opened.
     """
 
     host: str = "127.0.0.1"
@@ -34,7 +34,7 @@ class ServiceSettings(StrictModel):
     hang_timeout_s: float = Field(default=30.0, ge=5.0, le=600.0)
     computation_timeout_minutes: PositiveFloat = Field(default=15.0, le=240.0)
     stop_timeout_s: float = Field(default=60.0, ge=5.0, le=600.0)
-    idle_read_period_s: float = Field(default=0.0, ge=0.0, le=3600.0)
+    idle_read_period_s: float = Field(default=10.0, ge=0.0, le=3600.0)
 
     @property
     def loopback(self) -> bool:

@@ -80,6 +80,12 @@ class Drive:
         verify_factors(self.node, self.settings)
         self._soft_limits = read_soft_limits(self.node)
 
+    def look(self) -> None:
+        """Verify by reading that the drive of the settings answers. Raises ProtocolError if its identity differs."""
+        verify_identity(self.node, self.settings)
+        self.state()
+        self.angle_deg()
+
     @property
     def identity_stated(self) -> bool:
         return self.settings.vendor_id is not None and self.settings.product_code is not None

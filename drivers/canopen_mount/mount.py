@@ -12,7 +12,7 @@ from drivers.canopen_mount.drive import POLL_S, Drive
 from drivers.canopen_mount.node import DriveNode
 from drivers.canopen_mount.settings import CanopenMountSettings
 from drivers.clock import Clock, Deadline
-from drivers.errors import DeviceError, LinkLost, VolcalError
+from drivers.errors import CommandRejected, DeviceError, LinkLost, VolcalError
 from drivers.links.can_adapters import CanAddress
 from drivers.links.can_bus import PROCESS_NETWORKS, CanLink, CanNetworks
 from drivers.reached_position import ROUNDING, require_reached
@@ -21,6 +21,9 @@ from drivers.roles import DiagnosticFinding, Orientation
 
 MAX_POLL_S = 0.4
 """Longest pause in s between two polls of a turning drive."""
+
+LISTEN_S = 0.5
+"""Wall time in s for which the bus is listened to before it is read; a client that turns a drive polls more often."""
 
 _log = structlog.get_logger("canopen_mount")
 
@@ -41,6 +44,7 @@ class CanopenMount:
         self._address = CanAddress.of(settings.interface, settings.channel, settings.options)
         self._link: CanLink | None = None
         self._drives: tuple[Drive, ...] = ()
+        self._look_only = False
 
     def open(self) -> None:
         """Connect to the bus, verify the identity and the units of both drives, and start their heartbeats.
@@ -59,6 +63,39 @@ class CanopenMount:
             self._disconnect()
             raise
 
+    def why_no_look(self) -> str:
+        return ""
+
+    def open_to_look(self, *, tables: bool = False) -> None:
+        """Connect to the bus and read the identity, state and angle of both drives by SDO uploads alone. No other frame
+        is sent, so the nodes keep their network state.
+
+        A drive has one SDO channel, on which two clients would take each other's answers. So the bus is listened to
+        first. Raises CommandRejected if another client exchanges data with a drive.
+        """
+        if self._link is not None:
+            return
+        self._connect(look_only=True)
+        try:
+            self._require_no_other_client()
+            for drive in self._drives:
+                drive.look()
+        except BaseException as error:
+            self._disconnect()
+            if isinstance(error, DeviceError):
+                error.at(device=self._context.name)
+            raise
+
+    def _require_no_other_client(self) -> None:
+        link = self._link
+        busy = None if link is None else link.await_exchange([drive.node.node_id for drive in self._drives], LISTEN_S)
+        if busy is not None:
+            raise CommandRejected(
+                f"another program exchanges data with node {busy}, so the mount is not read meanwhile",
+                hint="wait until it has ended",
+                link=self._address.name,
+            )
+
     def close(self) -> None:
         """Switch off the power of both motors and release the bus.
 
@@ -76,7 +113,10 @@ class CanopenMount:
 
         The second drive is stopped even if the first one cannot be stopped. If the link is lost, the bus is opened
         again for the stop; the mount must be opened again afterwards. The first error is raised after all attempts.
+        Does nothing if the mount is open only to look.
         """
+        if self._look_only:
+            return
         failures = self._quick_stop()
         if any(isinstance(failure, LinkLost) for failure in failures):
             self._disconnect()
@@ -109,8 +149,9 @@ class CanopenMount:
 
         A drive with an absolute encoder needs no homing; it is only enabled.
         """
+        drives = self._require_open_for_a_run()
         try:
-            for drive in self._require_open():
+            for drive in drives:
                 drive.enable()
                 self._home_one(drive)
         except BaseException as error:
@@ -124,7 +165,7 @@ class CanopenMount:
         MotionFault, DeadlineExpired or LinkError if the turn fails. If an exception ends the wait, both drives are
         stopped before the exception propagates.
         """
-        drives = self._require_open()
+        drives = self._require_open_for_a_run()
         targets = (azimuth_deg, elevation_deg)
         for drive, target in zip(drives, targets, strict=True):
             drive.require_within_limits(target)
@@ -164,8 +205,9 @@ class CanopenMount:
         text = self._link.adapter_status_text() if self._link is not None else ""
         return [DiagnosticFinding(self._address.name, ok=text.endswith("no error"), text=text)] if text else []
 
-    def _connect(self) -> None:
+    def _connect(self, *, look_only: bool = False) -> None:
         self._link = link = self._networks.acquire(self._address)
+        self._look_only = look_only
         drives: list[Drive] = []
         try:
             for axis in ("azimuth", "elevation"):
@@ -179,7 +221,12 @@ class CanopenMount:
         settings = self._settings.azimuth if axis == "azimuth" else self._settings.elevation
         description = load_description(settings, self._context.base_path)
         node = DriveNode(
-            link, settings.node_id, axis, description.dictionary, sdo_timeout_s=self._settings.sdo_timeout_s
+            link,
+            settings.node_id,
+            axis,
+            description.dictionary,
+            sdo_timeout_s=self._settings.sdo_timeout_s,
+            look_only=self._look_only,
         )
         return Drive(
             node,
@@ -191,7 +238,7 @@ class CanopenMount:
         )
 
     def _disconnect(self) -> None:
-        self._drives = ()
+        self._drives, self._look_only = (), False
         link, self._link = self._link, None
         if link is not None:
             link.close()
@@ -201,6 +248,16 @@ class CanopenMount:
             raise LinkLost("the mount is not open", device=self._context.name, hint="open the device first")
         azimuth, elevation = self._drives
         return azimuth, elevation
+
+    def _require_open_for_a_run(self) -> tuple[Drive, Drive]:
+        drives = self._require_open()
+        if self._look_only:
+            raise CommandRejected(
+                "refused by a mount that was opened only to read",
+                hint="close it and open it for a run",
+                device=self._context.name,
+            )
+        return drives
 
     def _home_one(self, drive: Drive) -> None:
         homing = drive.settings.homing

@@ -33,7 +33,8 @@ _log = structlog.get_logger("canopen_mount")
 
 
 class DriveNode:
-    """CANopen node of a drive; `axis` is its name in error messages.
+    """CANopen node of a drive; `axis` is its name in error messages. If `look_only` is True, all writes and commands
+    are refused, and no request is repeated.
 
     An SDO request that is not answered is repeated once, so it takes up to twice `sdo_timeout_s` of wall time. Requests
     that write are repeated, too, because writing a value twice has no further effect: target positions are absolute,
@@ -48,10 +49,12 @@ class DriveNode:
         dictionary: ObjectDictionary,
         *,
         sdo_timeout_s: float,
+        look_only: bool = False,
     ) -> None:
         self.axis = axis
         self.node_id = node_id
         self._link = link
+        self._look_only = look_only
         self._node: canopen.RemoteNode = link.add_node(node_id, dictionary)
         self._node.sdo.RESPONSE_TIMEOUT = sdo_timeout_s
         self._exchange = threading.Lock()
@@ -111,6 +114,7 @@ class DriveNode:
         Raises the same errors as `read`. The text of the error CommandRejected contains the reason that the drive
         gives.
         """
+        self._require_open_for_a_run()
         data = entry.pack(value)
         self._transfer(str(entry), lambda: self._node.sdo.download(entry.index, entry.subindex, data))
 
@@ -120,12 +124,21 @@ class DriveNode:
         The NMT command has no answer of its own. Therefore an object is read afterwards, whose answer shows that the
         node has processed the command.
         """
+        self._require_open_for_a_run()
         try:
             self._link.check()
             self._node.nmt.state = "OPERATIONAL"
         except (can.CanError, OSError) as error:
             raise self._link.lost_error(str(error)).at(**self.where) from error
         self.read(STATUSWORD)
+
+    def _require_open_for_a_run(self) -> None:
+        if self._look_only:
+            raise CommandRejected(
+                "refused by a mount that was opened only to read",
+                hint="close it and open it for a run",
+                **self.where,
+            )
 
     def take_boot_up(self) -> bool:
         """Return True if the node has sent a boot-up message since the last call of this method."""
@@ -169,6 +182,8 @@ class DriveNode:
         try:
             return self._exchange_once(entry, exchange)
         except LinkTimeout:
+            if self._look_only:
+                raise  # the next look repeats it; a drive that is off would fill the log
             _log.warning("SDO answer missing, request repeated", object=entry, **self.where)
             return self._exchange_once(entry, exchange)
 

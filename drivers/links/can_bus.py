@@ -17,7 +17,9 @@ from __future__ import annotations
 import contextlib
 import logging
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from queue import Empty, Queue
 
 import can
 import canopen
@@ -29,9 +31,13 @@ from drivers.links.can_adapters import ECHOING_INTERFACES, CanAddress, SlcanBus,
 
 for _library in ("can", "canopen"):  # errors that they log are raised as typed errors here
     logging.getLogger(_library).addHandler(logging.NullHandler())
+# A drive that is off would otherwise leave a line of this library in the log with each look.
+logging.getLogger("canopen.sdo.client").addFilter(lambda record: record.levelno < logging.ERROR)
 
 RECEIVE_CYCLE_S = 0.1
 """Longest wait of the receiving thread for one frame in s; closing the bus takes up to this long."""
+SDO_CHANNEL = (0x600, 0x580)
+"""Identifiers of requests and answers of service data, each plus the node id (predefined connections of CiA 301)."""
 BUS_OFF = 0x40
 CONTROLLER_PROBLEM = 0x04
 """`BUS_OFF` and `CONTROLLER_PROBLEM` are error-class bits of error frames (linux/can/error.h).
@@ -194,6 +200,29 @@ class CanLink:
         shared.nodes.add(node_id)
         self._own_nodes.add(node_id)
         return node
+
+    def await_exchange(self, node_ids: Sequence[int], within_s: float) -> int | None:
+        """Return the id of the first of these nodes that exchanges service data with another client of the bus within
+        `within_s` of wall time; None if none does.
+
+        Nothing is sent. The answer means something only before this device has sent to the nodes itself.
+        """
+        network, seen = self._require_open().network, Queue[int]()
+        identifiers = {base + node_id: node_id for node_id in node_ids for base in SDO_CHANNEL}
+
+        def note(can_id: int, _data: bytearray, _timestamp: float) -> None:
+            seen.put(identifiers[can_id])
+
+        for identifier in identifiers:
+            network.subscribe(identifier, note)
+        try:
+            return seen.get(timeout=within_s)
+        except Empty:
+            self.check()
+            return None
+        finally:
+            for identifier in identifiers:
+                network.unsubscribe(identifier, note)
 
     def check(self) -> None:
         """Raise LinkLost if the thread that receives the frames has ended."""

@@ -101,6 +101,7 @@ class ModbusLink:
         self._in_use = False
         self.look_only = False
         """True if the link was opened to read only."""
+        self._selectors: tuple[range, ...] = ()
         self._loss: LinkLost | None = None
         self._carried_out: set[bytes] = set()
         """Function, addresses and counts of the requests that the unit has carried out."""
@@ -109,10 +110,11 @@ class ModbusLink:
     def connected(self) -> bool:
         return self.transport.connected
 
-    def open(self, *, look_only: bool = False) -> None:
-        """Connect. If `look_only` is True, all writes are refused until the link is closed."""
+    def open(self, *, look_only: bool = False, selectors: Sequence[range] = ()) -> None:
+        """Connect. If `look_only` is True, all writes are refused until the link is closed, except to the registers
+        `selectors`, which only select what the unit shows."""
         self.transport.open()
-        self._in_use, self._loss, self.look_only = True, None, look_only
+        self._in_use, self._loss, self.look_only, self._selectors = True, None, look_only, tuple(selectors)
 
     def close(self) -> None:
         self._in_use = False
@@ -167,15 +169,17 @@ class ModbusLink:
         return self.transport.wire_time_s(write) + self.transport.wire_time_s(struct.pack(">BHH", READ, 0, read))
 
     def _writable_count(self, register: int, data: bytes) -> int:
-        if self.look_only:
+        count = len(data) // 2
+        allowed = self._selectors if self.look_only else self._writable
+        inside = any(register in block and register + count - 1 in block for block in allowed)
+        if self.look_only and not inside:
             raise CommandRejected(
                 "refused to write over a link that was opened only to read",
                 hint="close the device and open it for a run",
                 register=register,
                 **self.where,
             )
-        count = len(data) // 2
-        if not any(register in block and register + count - 1 in block for block in self._writable):
+        if not inside:
             raise ConfigurationError(
                 "refused to write outside the writable registers",
                 hint="the allow-list follows from the block addresses in the configuration",

@@ -21,6 +21,8 @@ from drivers.linuxcnc.pins import PinValue
 
 BRIDGE = Path(__file__).resolve().parent / "bridge"
 PROTOCOL = 1
+LOOKS = frozenset({"hello", "ini", "status", "hal_get"})
+"""Requests that only read."""
 END_WITHIN_S = 2.0
 STDERR_TAIL_BYTES = 400
 STOPPED_HINT = "press the emergency stop, look where the axes stand, and restart LinuxCNC"
@@ -52,6 +54,7 @@ class BridgeLink:
         device: str,
     ) -> None:
         self._command = [*command, str(BRIDGE)]
+        self._look_only = False
         self.response_timeout_s = response_timeout_s
         self._hello = {"watch_s": watchdog_timeout_s, "heartbeat_s": heartbeat_timeout_s}
         self.where = {"device": device, "link": "linuxcnc bridge"}
@@ -71,14 +74,18 @@ class BridgeLink:
     def pid(self) -> int | None:
         return None if self._bridge is None else self._bridge.process.pid
 
-    def open(self) -> None:
+    def open(self, *, look_only: bool = False) -> None:
         """Start the bridge process between volcal and LinuxCNC.
+
+        If `look_only` is True, the bridge has no means to send commands to LinuxCNC, and all requests but queries are
+        refused until the link is closed.
 
         Raises LinkLost if the bridge cannot be started or if LinuxCNC does not run, and ProtocolError if the version of
         the bridge's protocol is not the expected one.
         """
         with self._lock:
             self.close()
+            self._look_only = look_only
             self._bridge = self._start_process()
             try:
                 self._answer(0)
@@ -97,6 +104,7 @@ class BridgeLink:
         A bridge that ends stops the motion that it has started, unless it no longer responds and has to be killed.
         """
         with self._lock:
+            self._look_only = False
             if self._bridge is None:
                 return
             process, stderr = self._bridge
@@ -118,6 +126,12 @@ class BridgeLink:
         if LinuxCNC refuses the request.
         """
         with self._lock:
+            if self._look_only and what not in LOOKS:
+                raise CommandRejected(
+                    f"refused by a link that was opened only to read: {what}",
+                    hint="close the device and open it for a run",
+                    **self.where,
+                )
             self._number += 1
             self._send({"id": self._number, "do": what, **fields})
             answer = self._answer(self._number)
@@ -169,7 +183,7 @@ class BridgeLink:
         stderr = tempfile.TemporaryFile()  # noqa: SIM115  closed with the link
         try:
             process = subprocess.Popen(  # noqa: S603  the command is the user's own setting
-                self._command,
+                [*self._command, "look"] if self._look_only else self._command,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=stderr,

@@ -70,6 +70,23 @@ class LinuxCnc(ControllerDevice["_Parts"]):
             raise
         self._parts = _Parts(self._session)
 
+    def why_no_look(self) -> str:
+        return ""
+
+    def open_to_look(self, *, tables: bool = False) -> None:
+        """Start a bridge process that reads the status of LinuxCNC and HAL pins, and has no channel for commands.
+
+        It does not read LinuxCNC's messages either, since each can be read only once.
+        """
+        if self._parts is not None:
+            return
+        try:
+            self._session.open(look_only=True)
+        except BaseException:
+            self._session.link.close()
+            raise
+        self._look_only = True
+
     def close(self) -> None:
         """Restore the modal codes if motions were made, and end the bridge process.
 
@@ -77,7 +94,7 @@ class LinuxCnc(ControllerDevice["_Parts"]):
         their restoration, the controller is switched to manual mode. Both steps are omitted if the machine is off or
         if LinuxCNC has stopped.
         """
-        parts, self._parts = self._parts, None
+        parts, self._parts, self._look_only = self._parts, None, False
         try:
             if parts is not None and self._session.link.connected:
                 with suppress(LinkError):  # a LinuxCNC that has stopped has no modes left to restore

@@ -49,13 +49,14 @@ class LinuxCncSession:
         self._properties: MachineProperties | None = None
         self._pins = settings.pins()
 
-    def open(self) -> None:
-        """Start the bridge process and read the properties of the machine.
+    def open(self, *, look_only: bool = False) -> None:
+        """Start the bridge process and read the properties of the machine. If `look_only` is True, only queries are
+        possible until the link is closed.
 
         Raises LinkLost if LinuxCNC does not run. Raises ConfigurationError if the machine that LinuxCNC controls is not
         the one named in the settings, or if it lacks one of the axes X, Y and Z.
         """
-        self.link.open()
+        self.link.open(look_only=look_only)
         self._properties = self._read_properties()
         expected = self.settings.machine_name
         if expected is not None and self._properties.machine_name != expected:

@@ -66,21 +66,24 @@ class ModbusCnc(ControllerDevice["_Parts"]):
     def open(self) -> None:
         self._connect(look_only=False)
 
-    def open_to_look(self) -> None:
-        self._connect(look_only=True)
+    def why_no_look(self) -> str:
+        return ""
 
-    def _connect(self, *, look_only: bool) -> None:
+    def open_to_look(self, *, tables: bool = False) -> None:
+        self._connect(look_only=True, tables=tables)
+
+    def _connect(self, *, look_only: bool, tables: bool = False) -> None:
         try:
-            self._session.open(look_only=look_only)
+            self._session.open(look_only=look_only, tables=tables)
             limits = self._session.read_limits()
             self._require_sound(limits)
         except DeviceError:
             self._session.close()
             raise
-        self._parts = _Parts(self._session, limits)
+        self._parts, self._look_only = _Parts(self._session, limits), look_only
 
     def close(self) -> None:
-        self._parts = None
+        self._parts, self._look_only = None, False
         self._session.close()
 
     def diagnose(self) -> list[DiagnosticFinding]:
@@ -139,7 +142,7 @@ class ModbusCnc(ControllerDevice["_Parts"]):
         """Send the command STOP to the controller, over a new connection if the present one is lost or does not answer.
         Does nothing if the device is closed, or open only to look: then none of its commands can be under way.
         """
-        if self._parts is not None and not self._session.link.look_only:
+        if self._parts is not None and not self._look_only:
             self._parts.motion.stop()
 
     def probe_status(self) -> ProbeStatus:

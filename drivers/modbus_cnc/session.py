@@ -61,15 +61,16 @@ class ModbusSession:
         self._acknowledged = 0
         self._interruptions_at_send = 0
 
-    def open(self, *, look_only: bool = False) -> StatusImage:
+    def open(self, *, look_only: bool = False, tables: bool = False) -> StatusImage:
         """Connect, verify protocol and version of the register map, and continue from the sequence number that the
         controller last acknowledged.
 
         If the controller is in a fault only because the heartbeat of an earlier session was lost, the fault is cleared.
-        If `look_only` is True, nothing is written, so the fault remains, and all commands are refused.
+        If `look_only` is True, nothing is written, so the fault remains, and all commands are refused. With `tables`,
+        the block that the read window shows can still be selected.
         """
         with self.reconnection.suspended():
-            self.link.open(look_only=look_only)
+            self.link.open(look_only=look_only, selectors=self.settings.blocks.selectors() if tables else ())
             status = self.read_status_unchecked()
         self._sequence, self._unacknowledged = status.acknowledge, 0
         self._acknowledged = status.acknowledge

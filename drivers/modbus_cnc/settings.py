@@ -63,6 +63,10 @@ class BlockAddresses(DriverOptions):
         ranges = self.ranges()
         return tuple(ranges[name] for name in ("command", "descriptor", "data_window", "read_selector"))
 
+    def selectors(self) -> tuple[range, ...]:
+        """Return the address ranges of the registers that only select what the controller shows."""
+        return (self.ranges()["read_selector"],)
+
     @model_validator(mode="after")
     def _require_disjoint_blocks(self) -> Self:
         ordered = sorted(self.ranges().items(), key=lambda item: item[1].start)

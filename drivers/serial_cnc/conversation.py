@@ -67,6 +67,7 @@ class Conversation:
         self._seconds = line.seconds
         self.settings = settings
         self.where = line.where
+        self._look_only = False
         self._pending: deque[SentLine] = deque()
         self._orphans = 0
         """Number of lines sent before a restart that the controller may receive and answer only after it."""
@@ -82,9 +83,13 @@ class Conversation:
 
     # ------------------------------------------------------------------ open
 
-    def open(self) -> StatusReport:
-        """Connect and wait for the first status report. Call `synchronise` before sending lines. Moves nothing."""
+    def open(self, *, look_only: bool = False) -> StatusReport:
+        """Connect and wait for the first status report. Call `synchronise` before sending lines. Moves nothing.
+
+        If `look_only` is True, nothing but status queries is sent until the line is closed.
+        """
         self._connect()
+        self._look_only = look_only
         return self._first_report()
 
     def _connect(self, *, shared: bool = False) -> None:
@@ -96,7 +101,20 @@ class Conversation:
         self.probe_results.clear()
 
     def close(self) -> None:
+        self._look_only = False
         self.line.close()
+
+    def _write(self, data: bytes) -> None:
+        self._require_allowed(data)
+        self.line.write(data)
+
+    def _require_allowed(self, data: bytes) -> None:
+        if self._look_only and data != QUERY:
+            raise CommandRejected(
+                "refused to send over a line that was opened only to read",
+                hint="close the device and open it for a run",
+                **self.where,
+            )
 
     def _first_report(self) -> StatusReport:
         deadline_s = self._seconds() + self.settings.boot_timeout_s
@@ -127,7 +145,7 @@ class Conversation:
         The method sends an invalid line, which the controller refuses. All answers up to and including the refusal are
         discarded.
         """
-        self.line.write(SYNCHRONISE.encode() + b"\n")
+        self._write(SYNCHRONISE.encode() + b"\n")
         deadline_s = self._seconds() + self.settings.response_timeout_s
         while self._seconds() < deadline_s:
             line = self._next_line_or_raw(deadline_s - self._seconds())
@@ -187,7 +205,7 @@ class Conversation:
         )
 
     def _query(self) -> None:
-        self.line.write(QUERY)
+        self._write(QUERY)
         self._unanswered.append(self._seconds())
 
     def _await_late_reports(self) -> None:
@@ -224,7 +242,7 @@ class Conversation:
                 raise LinkTimeout("the controller accepts no further line: its buffer is full", **self.where)
         self._pending.append(sent)
         self._orphans = 0
-        self.line.write(line.encode("ascii") + b"\n")
+        self._write(line.encode("ascii") + b"\n")
         return sent
 
     def ask(self, line: str) -> list[MessageLine | SettingLine]:
@@ -272,7 +290,7 @@ class Conversation:
         self.await_answer(self.send(""))
 
     def realtime(self, character: bytes) -> None:
-        self.line.write(character)
+        self._write(character)
 
     def urgent(self, characters: bytes) -> None:
         """Send real-time characters ahead of all unsent data: on the present connection, else on a new one.
@@ -280,6 +298,7 @@ class Conversation:
         The new connection is opened even if another program uses the port. Raises LinkLost or LinkTimeout if neither
         accepts them. This takes less than a second of wall time.
         """
+        self._require_allowed(characters)
         if self.line.connected:
             try:
                 self.line.write_urgent(characters)
@@ -297,7 +316,7 @@ class Conversation:
         """
         restarts = self.restarts
         self.alarm = None
-        self.line.write(SOFT_RESET)
+        self._write(SOFT_RESET)
         deadline_s = self._seconds() + self.settings.response_timeout_s
         while self.restarts == restarts:
             if not self._read_one(deadline_s):

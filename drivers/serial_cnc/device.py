@@ -39,6 +39,8 @@ from drivers.serial_cnc.settings import SerialCncSettings
 from drivers.serial_cnc.status_tracker import StatusTracker
 from drivers.serial_cnc.store import BankStore
 
+RESTARTS_WHEN_OPENED = "the board may restart when its port is opened; if it does not, set restarts_when_opened = false"
+
 
 class SerialCnc(ControllerDevice["_Parts"]):
     """Device for a GRBL controller.
@@ -74,8 +76,34 @@ class SerialCnc(ControllerDevice["_Parts"]):
             raise
         self._parts = _Parts(self._conversation, identity.settings, tracker, self._store, self._clock)
 
+    def why_no_look(self) -> str:
+        return RESTARTS_WHEN_OPENED if self._settings.restarts_when_opened else ""
+
+    def open_to_look(self, *, tables: bool = False) -> None:
+        """Connect and wait for a status report; nothing but status queries (``?``) is sent. The tables are in files.
+
+        Even ``$$`` and ``$#`` would be lines: they would complete what another program has left half sent. Raises
+        CommandRejected if the board restarts when its port is opened.
+        """
+        if reason := self.why_no_look():
+            raise CommandRejected(reason, **self._where)
+        restarts = self._conversation.restarts
+        try:
+            self._store.open()
+            self._conversation.open(look_only=True)
+            if self._conversation.restarts != restarts:
+                raise CommandRejected(
+                    "the controller restarted when its port was opened",
+                    hint="remove restarts_when_opened = false: the board must not be read between runs",
+                    **self._where,
+                )
+        except BaseException:
+            self._conversation.close()
+            raise
+        self._look_only = True
+
     def close(self) -> None:
-        parts, self._parts = self._parts, None
+        parts, self._parts, self._look_only = self._parts, None, False
         try:
             if parts is not None and (self._conversation.line.connected or parts.control.stopping):
                 parts.control.finish()

@@ -32,7 +32,9 @@ def diagnose(
     opened_here = not conversation.line.connected
     try:
         if opened_here:
+            restarts = conversation.restarts
             conversation.open()
+            findings.append(_opening(settings, restarted=conversation.restarts != restarts))
         findings.extend(_findings(conversation, settings))
     except DeviceError as error:
         findings.append(DiagnosticFinding("link", ok=False, text=str(error)))
@@ -78,6 +80,17 @@ def _findings(conversation: Conversation, settings: SerialCncSettings) -> Iterat
     if stated:
         named = ", ".join(f"{name} {value:g} °C" for name, value in stated.items())
         yield DiagnosticFinding("temperatures", ok=True, text=f"stated, not measured: {named}")
+
+
+def _opening(settings: SerialCncSettings, *, restarted: bool) -> DiagnosticFinding:
+    """Report whether the board restarted when its port was opened, and whether it may be read between runs."""
+    stated = not settings.restarts_when_opened
+    if restarted:
+        wrong = "; remove restarts_when_opened = false" if stated else ""
+        text = f"the board restarted when its port was opened: it is not read between runs{wrong}"
+        return DiagnosticFinding("opening", ok=not stated, text=text)
+    text = "the board did not restart when its port was opened now; it may at the first time after it is plugged in"
+    return DiagnosticFinding("opening", ok=True, text=text if not stated else "the board does not restart, as stated")
 
 
 def _latency(status: Callable[[], object]) -> DiagnosticFinding:

@@ -41,6 +41,10 @@ class SerialCncSettings(DriverOptions):
         default=False, description="without homing switches: a person sets the axes to their marks and is responsible"
     )
 
+    restarts_when_opened: bool = Field(
+        default=True,
+        description="false: the board does not restart when its port is opened, so it can be read between runs",
+    )
     response_timeout_s: Annotated[float, Field(gt=0.0, le=30.0)] = Field(
         default=2.0, description="wall time for an answer that comes at once"
     )

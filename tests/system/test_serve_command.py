@@ -9,6 +9,7 @@ import socket
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import pytest
 from cryptography import x509
@@ -16,8 +17,8 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 from cryptography.x509.oid import NameOID
-from service_process import Service, service, short_settings, simulator, systemd_socket
-from simulated import PATIENCE_S
+from service_process import AT_ONCE, Service, service, short_settings, simulator, systemd_socket
+from simulated import PATIENCE_S, wait_for
 from stored_run import stored_run
 
 from agent.execution.states import FINAL
@@ -146,6 +147,36 @@ def test_a_link_that_breaks_is_a_fault_with_a_hint_that_outlives_the_service(tmp
             assert again.post("/api/reset").status_code == 200
             assert again.status()["unfinished"] == run_id
             assert "resume_run" in again.status()["may"]
+
+
+def test_a_lost_link_and_a_lost_table_are_told_between_runs_without_a_request(tmp_path: Path) -> None:
+    often = f"{AT_ONCE}idle_read_period_s = 1.0\n"
+    with simulator(tmp_path) as (machine, ready), service(short_settings(ready, tmp_path, often)) as running:
+        running.start()
+        running.reached("complete")
+        known = wait_for(lambda: with_links(running, ok=True), "a reading")
+        bank, vce_um = known["active_bank"], known["ve_now_um"]
+        assert bank > 0
+        assert vce_um > 0.0
+        machine.kill()
+        lost = wait_for(lambda: with_links(running, ok=False), "the loss of the links")
+        assert (lost["active_bank"], lost["ve_now_um"], lost["alarms"]) == (None, None, [])
+        assert lost["read_problem"]
+        assert lost["read_age_s"] > 0.0
+        with simulator(tmp_path) as (_, anew):  # as after a power loss: its banks are empty
+            short_settings(anew, tmp_path, often)
+            running.process.send_signal(signal.SIGHUP)
+            back = wait_for(lambda: with_links(running, ok=True), "another reading")
+            assert (back["active_bank"], back["ve_now_um"], back["read_problem"]) == (0, None, "")
+            [alarm] = back["alarms"]
+            assert f"bank {bank} no longer holds its table" in alarm["hint"]
+            assert {link["device"]: link["unread"] for link in back["links"]} == {"cnc": "", "mount": ""}
+
+
+def with_links(running: Service, *, ok: bool) -> dict[str, Any] | None:
+    """Return the status if it has links that all answer, or none of which answers."""
+    now = running.status()
+    return now if now["links"] and all(link["ok"] is ok for link in now["links"]) else None
 
 
 def test_a_service_that_was_killed_says_so_and_could_go_on_after_a_reset(tmp_path: Path) -> None:

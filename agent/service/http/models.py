@@ -112,11 +112,13 @@ class UnprovedTableView(BaseModel):
 
 
 class LinkView(BaseModel):
-    """Link of a device; `problem` says why it does not answer, and is empty if it does."""
+    """Link of a device; `problem` says why it does not answer, and is empty if it does. `unread` says why the device is
+    not read between runs, and is empty if it is."""
 
     device: str
     ok: bool
     problem: str
+    unread: str
 
 
 class VerdictView(BaseModel):

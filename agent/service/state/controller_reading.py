@@ -12,15 +12,18 @@ from agent.runs.reconcile_result import Reconciliation
 from agent.service.control import LinkState
 from agent.settings.schema import Settings
 from drivers.errors import VolcalError
-from drivers.roles import Device, LookOnlyDevice
+from drivers.roles import LookOnlyDevice
+
+NO_LOOK = "its driver can open it only as for a run"
 
 
 @dataclass(frozen=True)
 class ControllerReading:
     """State of the devices and of the compensation when they were last asked.
 
-    `active_bank` is None if the store could not be read; `problem` then says why. `waiting_bank` becomes active only
-    later. `compared` is the comparison with the journal, or None if it was not made again.
+    `active_bank` is None if the store was not read; `problem` says why it could not be read, and is empty if it was not
+    asked because its device cannot be read without an effect. `waiting_bank` becomes active only later. `compared` is
+    the comparison with the journal, or None if it was not made again.
     """
 
     links: tuple[LinkState, ...]
@@ -37,12 +40,11 @@ def unreachable(settings: Settings, problem: str) -> ControllerReading:
 
 
 def read_controller(rig: Rig, settings: Settings, must_compare: Callable[[int, int | None], bool]) -> ControllerReading:
-    """Open each device of `rig` in turn, read the compensation from the store, and close the device again. Nothing
-    is measured and no table is written.
+    """Open each device of `rig` in turn only to look, read the compensation from the store, and close the device again.
+    Nothing moves, and nothing is written. A device that cannot be read without an effect is not opened.
 
-    A `LookOnlyDevice` is opened so that nothing is written to it; any other driver does what it does whenever it opens
-    its device. `must_compare` returns True if the active and the waiting bank are to be compared with the journal. For
-    this comparison the store is opened as for a run, since a controller may show a table only if a block is selected.
+    `must_compare` returns True if the active and the waiting bank are to be compared with the journal. The tables are
+    read only for this comparison.
     """
     links: list[LinkState] = []
     active: int | None = None
@@ -52,12 +54,17 @@ def read_controller(rig: Rig, settings: Settings, must_compare: Callable[[int, i
     for name, device in rig.devices.items():
         if name in asks_only:
             continue
+        seen = device if isinstance(device, LookOnlyDevice) else None
+        unread = NO_LOOK if seen is None else seen.why_no_look()
+        if seen is None or unread:
+            links.append(LinkState(name, unread=unread))
+            continue
         try:
-            with _opened_to_look(device):
+            with _opened_to_look(seen):
                 if name == roles.store:
                     active, waiting = rig.store.active_bank(), rig.store.pending_bank()
             if name == roles.store and active is not None and must_compare(active, waiting):
-                with _opened(device):
+                with _opened_to_look(seen, tables=True):
                     compared = reconcile(rig, settings.state_directory, restore=False)
             links.append(LinkState(name))
         except VolcalError as error:
@@ -74,21 +81,8 @@ def _asks_only(settings: Settings) -> set[str]:
 
 
 @contextmanager
-def _opened_to_look(device: Device) -> Iterator[None]:
-    if not isinstance(device, LookOnlyDevice):
-        with _opened(device):
-            yield
-        return
-    device.open_to_look()
-    try:
-        yield
-    finally:
-        device.close()
-
-
-@contextmanager
-def _opened(device: Device) -> Iterator[None]:
-    device.open()
+def _opened_to_look(device: LookOnlyDevice, *, tables: bool = False) -> Iterator[None]:
+    device.open_to_look(tables=tables)
     try:
         yield
     finally:

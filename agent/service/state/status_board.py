@@ -142,7 +142,7 @@ class StatusBoard:
         self._change(links=reading.links)
         if reading.compared is not None:
             self.show_reconciliation(reading.compared)
-        elif reading.active_bank is None or self._status.active_bank is not None:
+        elif reading.problem or (reading.active_bank is not None and self._status.active_bank is not None):
             self.show_bank(reading.active_bank, reading.problem)
 
     def show_unacknowledged_end(

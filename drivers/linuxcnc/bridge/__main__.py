@@ -10,6 +10,9 @@ request "hello") during the motion.
 
     {"id": 7, "do": "status"}  ->  {"id": 7, "ok": {...}}  or  {"id": 7, "error": "refused", "text": "..."}
 
+With the argument `look` the bridge only reads: it opens no command channel, so that it can send LinuxCNC nothing, and
+no error channel, because a message that is read there is missing on the panels that show it.
+
 `error` is `refused` (the request was understood but not carried out), `unknown` (HAL, the hardware abstraction layer,
 has no such name), `gone` (LinuxCNC does not answer) or `stopped` (a process of LinuxCNC gives no heartbeat).
 """
@@ -42,6 +45,8 @@ TASK_STATES = {
 }
 MODES = {linuxcnc.MODE_MANUAL: "manual", linuxcnc.MODE_AUTO: "auto", linuxcnc.MODE_MDI: "mdi"}
 STATES = {linuxcnc.RCS_DONE: "done", linuxcnc.RCS_EXEC: "exec", linuxcnc.RCS_ERROR: "error"}
+LOOKS = frozenset({"hello", "ini", "status", "hal_get"})
+"""Requests that a bridge carries out that only reads."""
 ERRORS = (linuxcnc.NML_ERROR, linuxcnc.OPERATOR_ERROR)
 
 
@@ -61,10 +66,11 @@ class Bridge:
     monitored.
     """
 
-    def __init__(self) -> None:
-        self._command = linuxcnc.command()
+    def __init__(self, *, look_only: bool = False) -> None:
+        self._look_only = look_only
+        self._command: Any = None if look_only else linuxcnc.command()  # None: whatever needs it is refused before
         self._stat = linuxcnc.stat()
-        self._channel = linuxcnc.error_channel()
+        self._channel = None if look_only else linuxcnc.error_channel()
         self._component = hal.component(f"volcal-bridge-{os.getpid()}")
         self._component.ready()
         self._pins = HalPins()
@@ -94,6 +100,8 @@ class Bridge:
         action = actions.get(request.get("do"))
         if action is None:
             raise RefusedError(f"no such request: {request.get('do')!r}")
+        if self._look_only and request["do"] not in LOOKS:
+            raise RefusedError(f"not carried out by a bridge that only reads: {request['do']}")
         return action(request)
 
     def pause_s(self) -> float | None:
@@ -232,8 +240,10 @@ class Bridge:
         }
 
     def _take_messages(self) -> list[str]:
-        """Return LinuxCNC's error messages since the last call."""
-        messages = []
+        """Return LinuxCNC's error messages since the last call; none if the bridge only reads."""
+        messages: list[str] = []
+        if self._channel is None:
+            return messages
         for _ in range(100):
             message = self._channel.poll()
             if not message:
@@ -373,7 +383,7 @@ def main() -> None:
     replies = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # LinuxCNC's C library prints to standard output, which carries the answers
     try:
-        bridge = Bridge()
+        bridge = Bridge(look_only=sys.argv[1:] == ["look"])
     except (linuxcnc.error, hal.error) as error:
         replies.write(json.dumps({"id": 0, "error": "gone", "text": f"LinuxCNC is not running: {error}"}) + "\n")
         return

@@ -219,54 +219,79 @@ def test_a_period_in_which_the_devices_would_be_opened_all_the_time_is_refused(p
 
 
 class Device:
-    def __init__(self, error: VolcalError | None = None) -> None:
-        self.error, self.log = error, list[str]()
+    """Device of a driver that can open it only as for a run."""
+
+    def __init__(self) -> None:
+        self.log = list[str]()
 
     def open(self) -> None:
         self.log.append("open")
-        if self.error is not None:
-            raise self.error
 
     def close(self) -> None:
         self.log.append("close")
 
 
-def read(store: Any, **devices: Device) -> ControllerReading:
+class LookedAt(Device):
+    def __init__(self, error: VolcalError | None = None, *, reason: str = "") -> None:
+        super().__init__()
+        self.error, self.reason = error, reason
+
+    def why_no_look(self) -> str:
+        return self.reason
+
+    def open_to_look(self, *, tables: bool = False) -> None:
+        self.log.append("look at tables" if tables else "look")
+        if self.error is not None:
+            raise self.error
+
+
+def read(store: Any, *, compare: bool = False, state: Path = Path(), **devices: Device) -> ControllerReading:
     cnc = dict.fromkeys(("machine", "probe", "store", "thermometer"), "cnc")
     roles = SimpleNamespace(**cnc, operator="console")
     rig = cast(Rig, SimpleNamespace(devices=devices, store=store))
-    settings = cast(Any, SimpleNamespace(roles=roles, state_directory=Path()))
-    return read_controller(rig, settings, lambda *_: False)
+    settings = cast(Any, SimpleNamespace(roles=roles, state_directory=state))
+    return read_controller(rig, settings, lambda *_: compare)
 
 
 def test_each_device_says_for_itself_whether_it_answers() -> None:
-    cnc, mount = Device(), Device(LinkLost("refused"))
+    cnc, mount = LookedAt(), LookedAt(LinkLost("refused"))
     found = read(
         SimpleNamespace(active_bank=lambda: 2, pending_bank=lambda: None), cnc=cnc, mount=mount, console=Device()
     )
     assert found == ControllerReading((LinkState("cnc"), LinkState("mount", "refused")), 2)
-    assert (cnc.log, mount.log) == (["open", "close"], ["open"])
+    assert (cnc.log, mount.log) == (["look", "close"], ["look"])
 
 
-class LookedAt(Device):
-    def open_to_look(self) -> None:
-        self.log.append("look")
-
-
-def test_a_device_that_can_be_looked_at_is_not_opened_for_a_run() -> None:
+def test_no_device_is_opened_as_for_a_run_not_even_to_compare_its_tables(tmp_path: Path) -> None:
     cnc = LookedAt()
-    found = read(SimpleNamespace(active_bank=lambda: 2, pending_bank=lambda: None), cnc=cnc)
-    assert (found.active_bank, cnc.log) == (2, ["look", "close"])
+    found = read(Store(2), cnc=cnc, compare=True, state=tmp_path)
+    assert (found.active_bank, found.compared is not None) == (2, True)
+    assert cnc.log == ["look", "close", "look at tables", "close"]
+
+
+def test_a_device_that_cannot_be_looked_at_stays_closed_and_what_is_known_of_its_store_stays() -> None:
+    cnc, mount = LookedAt(reason="it would restart"), Device()
+    found = read(Store(2), cnc=cnc, mount=mount)
+    assert (found.active_bank, found.problem, cnc.log, mount.log) == (None, "", [], [])
+    told = [(link.device, link.ok, link.unread) for link in found.links]
+    assert told == [("cnc", False, "it would restart"), ("mount", False, "its driver can open it only as for a run")]
+    clock = VirtualClock()
+    shown = board(clock)
+    shown.show_reconciliation(compared(CompensationState.AS_EXPECTED, 2))
+    clock.sleep(30.0)
+    shown.show_reading(found)
+    now = shown.status()
+    assert (now.active_bank, now.read_age_s, now.read_problem, now.links) == (2, 30.0, "", found.links)
 
 
 def test_a_store_that_fails_in_mid_reading_leaves_nothing_known() -> None:
     def lost() -> int:
         raise LinkLost("gone")
 
-    cnc = Device()
+    cnc = LookedAt()
     found = read(SimpleNamespace(active_bank=lambda: 2, pending_bank=lost), cnc=cnc)
     assert found == ControllerReading((LinkState("cnc", "gone"),), problem="gone")
-    assert cnc.log == ["open", "close"]
+    assert cnc.log == ["look", "close"]
 
 
 class Store:

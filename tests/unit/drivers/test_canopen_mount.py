@@ -22,6 +22,7 @@ from drivers.errors import (
     MotionFault,
     ProtocolError,
 )
+from drivers.links.can_bus import CanNetworks
 from drivers.registry import DeviceContext
 from drivers.roles import Orientation, RotaryMount
 from simulators.wire.can.drive import PowerDriveState
@@ -495,3 +496,27 @@ def test_settings_example_of_the_rig_is_strict() -> None:
     assert isinstance(axis, type)
     assert issubclass(axis, BaseModel)
     assert set(axis_settings(5)) <= set(axis.model_fields)
+
+
+def test_a_mount_in_use_by_another_program_is_not_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both would use the one SDO channel of a drive, and take each other's answers."""
+    monkeypatch.setattr("drivers.canopen_mount.mount.LISTEN_S", 600.0)
+    with rig() as bench:
+        ended = threading.Event()
+
+        def use() -> None:
+            while not ended.is_set():
+                bench.mount.orientation()
+
+        other = CanopenMount(bench.settings, DeviceContext("look", bench.clock, Path()), CanNetworks())
+        using = threading.Thread(target=use)
+        using.start()
+        try:
+            with pytest.raises(CommandRejected, match=r"another program exchanges data with node [56]"):
+                other.open_to_look()
+        finally:
+            ended.set()
+            using.join(600.0)
+        with pytest.raises(LinkLost, match="not open"):
+            other.orientation()
+        assert bench.mount.orientation() == Orientation(0.0, 0.0)

@@ -755,3 +755,24 @@ class TestDoctor:
             grbl.line.dead()
             findings = grbl.device.diagnose()
             assert [finding.subject for finding in findings if not finding.ok] == ["link"]
+
+
+class TestLook:
+    def test_a_board_that_may_restart_when_its_port_is_opened_is_not_opened(self, tmp_path: Path) -> None:
+        with rig(tmp_path) as grbl:
+            reason = grbl.device.why_no_look()
+            assert "restarts_when_opened = false" in reason
+            with pytest.raises(CommandRejected, match="may restart"):
+                grbl.device.open_to_look()
+            assert not grbl.device._conversation.line.connected
+            assert grbl.line.said == []
+
+    def test_a_board_that_restarts_although_it_should_not_is_an_error_that_says_so(self, tmp_path: Path) -> None:
+        with rig(tmp_path, restarts_when_opened=False) as grbl:
+            grbl.line.once(b"<", lambda report: b"\r\nGrbl 1.1h ['$' for help]\r\n" + report)
+            with pytest.raises(CommandRejected, match="restarted when its port was opened") as refused:
+                grbl.device.open_to_look()
+            assert "remove restarts_when_opened" in refused.value.hint
+            assert not grbl.device._conversation.line.connected
+            grbl.device.open_to_look()
+            assert grbl.device.active_bank() == 0

@@ -176,8 +176,9 @@ function bankText({ active_bank: bank, written_not_active: waiting, read_age_s: 
 
 const ageText = (age) => (age < MINUTE_S ? say("age.seconds", { seconds: number(Math.floor(age), 0) }) : say("age.minutes", { minutes: number(Math.floor(age / MINUTE_S), 0) }));
 
-function linkMark({ device, ok, problem }) {
-  const mark = make("li", { title: ok ? say("link.ok") : problem }, make("span", { className: "shape", ariaHidden: "true" }), `${device}: ${say(ok ? "link.ok" : "link.lost")}`);
-  mark.dataset.look = ok ? "done" : "fault";
+function linkMark({ device, ok, problem, unread }) {
+  const told = say(unread ? "link.unread" : ok ? "link.ok" : "link.lost");
+  const mark = make("li", { title: unread || problem || told }, make("span", { className: "shape", ariaHidden: "true" }), `${device}: ${told}`);
+  mark.dataset.look = unread ? "quiet" : ok ? "done" : "fault";
   return mark;
 }
