@@ -330,7 +330,8 @@ class Owner:
         self._release()
         if isinstance(error, VolcalError):
             text = f"{request.kind} requested by {request.source} was not started: {error.message}"
-            self._parts.event_log.publish("note", text, {"hint": error.hint, "source": request.source})
+            data = {"not_started": request.kind, "hint": error.hint, "source": request.source}
+            self._parts.event_log.publish("note", text, data)
             log.warning(text, hint=error.hint)
 
     def _begin(

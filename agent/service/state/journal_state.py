@@ -95,6 +95,19 @@ class JournalState:
             run = reader.run(run_id)
             return None if run is None else (reader.count_balls(run.run), reader.count_touches(run.run))
 
+    def last_run_id(self) -> str | None:
+        """Return the identity of the last run, or None if there is none."""
+        if not has_journal(self.directory):
+            return None
+        with open_journal(self.directory, JournalFailed) as reader:
+            run = reader.last_run()
+        return None if run is None else run.run_id
+
+    def end_number(self, run_id: str) -> int:
+        """Return the number of the last change of state of a run, which differs for each end of a resumed run."""
+        with open_journal(self.directory, JournalFailed) as reader:
+            return reader.last_event_number(reader.require_run(run_id).run, "state")
+
     def acknowledge(self, run_id: str | None) -> None:
         """Record in the journal that the end of a run is acknowledged. Raise JournalFailed if the record cannot be
         written."""
