@@ -28,15 +28,18 @@ _NO_TOPIC = re.compile(r"[/+#\x00-\x1f\x7f\s]+")
 class _BoundedClient(Client):
     """MQTT client whose connection ends at the deadline of the delivery."""
 
-    def __init__(self, connections: BoundedConnections) -> None:
+    def __init__(self, connections: BoundedConnections, tls: ssl.SSLContext | None) -> None:
         # An empty identity lets the broker choose one: two deliveries of one machine must not end each other.
         super().__init__(CallbackAPIVersion.VERSION2, client_id="", clean_session=True, reconnect_on_failure=False)
         self._connections = connections
+        self._tls = tls
         self.answer: ReasonCode | None = None
         self.on_connect = self._note_answer
 
-    def _create_socket_connection(self) -> socket.socket:
-        return self._connections.connect(self._host, self._port)
+    def _create_socket(self) -> socket.socket:
+        """Return the connection. Unlike the method of the library, it leaves none open if TLS cannot be agreed."""
+        plain = self._connections.connect(self._host, self._port)
+        return plain if self._tls is None else self._tls.wrap_socket(plain, server_hostname=self._host)
 
     def _note_answer(
         self, client: Client, userdata: object, flags: ConnectFlags, reason: ReasonCode, properties: Properties | None
@@ -57,11 +60,9 @@ class MqttChannel:
         retained = notice.occasion == "state"
         topic = f"{settings.topic}/{topic_level(notice.machine)}/{'state' if retained else 'notice'}"
         with delivery(receiver, settings.timeout_s, (ValueError, RuntimeError)) as connections:
-            client = _BoundedClient(connections)
+            client = _BoundedClient(connections, self.tls)
             if settings.username is not None:
                 client.username_pw_set(settings.username, self.password)
-            if self.tls is not None:
-                client.tls_set_context(self.tls)
             try:
                 client.connect(settings.host, settings.broker_port, keepalive=max(int(settings.timeout_s), 1))
                 _loop_until(client, connections, lambda: client.answer is not None)

@@ -43,6 +43,8 @@ class WebhookChannel:
                 target = f"{parts.path or '/'}{'?' if parts.query else ''}{parts.query}"
                 connection.request("POST", target, body, {"Host": parts.netloc, **self._headers(notice, body)})
                 status = connection.getresponse().status
+                if connections.expired:  # the shut connection ends an answer like a receiver that has said everything
+                    raise TimeoutError
             finally:
                 connection.close()
         if not 200 <= status <= 299:
