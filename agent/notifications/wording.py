@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import uuid
 from collections.abc import Iterator, Sequence
 from typing import Final, Literal
 
-from agent.notifications.notice import NoticeAlarm, NoticeRun
+from agent.notifications.notice import Notice, NoticeAlarm, NoticeRun
+from drivers.clock import utc_timestamp
 
 Language = Literal["en", "de"]
 
@@ -60,6 +62,20 @@ def facts(
     for alarm in alarms:
         lines += ["", *_alarm_lines(alarm, language)]
     return "\n".join([*([opening, ""] if opening else []), *lines, ""])
+
+
+def trial_notice(machine: str, language: Language) -> Notice:
+    """Return a notice that says that it is a test."""
+    return Notice(
+        notice_id=str(uuid.uuid4()),
+        at=utc_timestamp(),
+        machine=machine,
+        occasion="test",
+        severity="info",
+        state="idle",
+        subject=f"{machine}: {word('test', language)}",
+        text=facts(machine, language, (), None, word("test.text", language)),
+    )
 
 
 def _run_lines(run: NoticeRun, language: Language) -> Iterator[str]:

@@ -9,6 +9,7 @@ import uuid
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from functools import partial
 from importlib.resources import files
 from queue import Queue
@@ -19,6 +20,7 @@ import structlog
 from agent.execution.states import RunState
 from agent.notifications.dispatcher import Dispatcher
 from agent.notifications.notice import Notice, NoticeAlarm, NoticeRun, Occasion, Severity
+from agent.notifications.outbox import is_older
 from agent.notifications.wording import Language, facts, kind_word, word
 from agent.printable import one_line, printable
 from agent.results.run_verdict import FAULTED, UNFINISHED, VERDICTS, Look, RunVerdict
@@ -91,17 +93,18 @@ class NoticeMaker:
         The id of a run's end is the same each time, so the outbox drops the notice if it has been told.
         """
         status = self.status()
-        told = () if last is None or not _has_ended(last, status) else (self._end(last, status.state, status.alarms),)
-        return (*told, self.state_notice())
+        if last is None or not _has_ended(last, status):
+            return (self.state_notice(),)
+        told = self._end(last, status.state, status.alarms)
+        if is_older(told, self.settings.max_age_hours, datetime.fromisoformat(self.now())):
+            return (self.state_notice(),)
+        return (told, self.state_notice())
 
     def state_notice(self) -> Notice:
         """Return the present state of the service, for receivers that retain it."""
         status = self.status()
         notice = self._notice("state", "alarm" if status.alarms else "info", alarms=status.alarms, opening=status.doing)
         return replace(notice, state=status.state.value)
-
-    def test_notice(self) -> Notice:
-        return self._notice("test", "info", opening=word("test.text", self._language))
 
     @property
     def _language(self) -> Language:
@@ -244,10 +247,7 @@ class NoticeWatch:
 
 
 def channels_of(occasion: Occasion, settings: NotificationSettings) -> tuple[str, ...]:
-    """Return the channels that are told of this occasion. Only MQTT has a retained state; a test goes to all."""
-    match occasion:
-        case "state":
-            return ("mqtt",) if settings.mqtt is not None else ()
-        case "test":
-            return tuple(settings.channels)
+    """Return the channels that are told of this occasion. Only MQTT has a retained state."""
+    if occasion == "state":
+        return ("mqtt",) if settings.mqtt is not None else ()
     return tuple(name for name, channel in settings.channels.items() if occasion in channel.events)
