@@ -101,7 +101,6 @@ OWN_COMMANDS = {
     "notify": OwnCommand(
         "agent.cli.notify:notify_command",
         "Send a test notice to every receiver of the settings, once and without the service.",
-        logs=False,
     ),
     "plan": OwnCommand(
         "agent.cli.run_commands.plan:plan_command",

@@ -43,7 +43,7 @@ longer are delivered after the next start."""
 
 
 @dataclass(frozen=True)
-class EndedRun:
+class ConcludedRun:
     """Summary of a run as `/api/runs` gives it, with the number of its last change of state, which tells two ends of a
     run that was resumed apart."""
 
@@ -61,7 +61,7 @@ class NoticeMaker:
 
     settings: NotificationSettings
     status: Callable[[], Status]
-    ended: Callable[[str], EndedRun | None]
+    ended: Callable[[str], ConcludedRun | None]
     now: Callable[[], str] = utc_timestamp
     _state: RunState = field(init=False)
     _alarms: list[Alarm] = field(init=False, default_factory=list)
@@ -87,7 +87,7 @@ class NoticeMaker:
                 return (self._notice("not-started", "warning", opening=opening, kind=kind),)
         return ()
 
-    def found_at_start(self, last: EndedRun | None) -> tuple[Notice, ...]:
+    def found_at_start(self, last: ConcludedRun | None) -> tuple[Notice, ...]:
         """Return the notice of the last run, in case the service ended before it was told, and the present state.
 
         The id of a run's end is the same each time, so the outbox drops the notice if it has been told.
@@ -127,10 +127,10 @@ class NoticeMaker:
             return (self._notice("started", "info", run=run, kind=kind_word(kind, self._language)),)
         if former in AT_REST or self._state not in AT_REST or run_id is None:
             return ()
-        found = self.ended(run_id) or EndedRun({"run_id": run_id, "kind": kind}, 0)
+        found = self.ended(run_id) or ConcludedRun({"run_id": run_id, "kind": kind}, 0)
         return (self._end(found, self._state, alarms),)
 
-    def _end(self, ended: EndedRun, state: RunState, alarms: tuple[Alarm, ...]) -> Notice:
+    def _end(self, ended: ConcludedRun, state: RunState, alarms: tuple[Alarm, ...]) -> Notice:
         summary = ended.summary
         verdict = _verdict(summary, state)
         run = NoticeRun(
@@ -206,7 +206,7 @@ def _verdict(summary: Summary, state: RunState) -> RunVerdict:
     return next((one for one in VERDICTS if one.name == name), FAULTED)
 
 
-def _has_ended(last: EndedRun, status: Status) -> bool:
+def _has_ended(last: ConcludedRun, status: Status) -> bool:
     """Return True if the run has its end, or if the service shows it as one that was interrupted."""
     return last.summary["ended"] is not None or last.summary["run_id"] == status.run_id
 
@@ -219,7 +219,7 @@ class NoticeWatch:
         self._dispatcher = dispatcher
 
     @contextmanager
-    def watching(self, events: Queue[Event], last: EndedRun | None) -> Iterator[None]:
+    def watching(self, events: Queue[Event], last: ConcludedRun | None) -> Iterator[None]:
         """Watch the queue `events` for the duration of the `with` block, and to its end when the block ends. `last` is
         the last run of the journal."""
         thread = threading.Thread(target=self._work, args=(events, last), name="notices", daemon=True)
@@ -230,7 +230,7 @@ class NoticeWatch:
             events.put(_LAST)
             thread.join(CLOSE_TIMEOUT_S)
 
-    def _work(self, events: Queue[Event], last: EndedRun | None) -> None:
+    def _work(self, events: Queue[Event], last: ConcludedRun | None) -> None:
         self._put(partial(self._maker.found_at_start, last))
         while (event := events.get()) is not _LAST:
             self._put(partial(self._maker.on_event, event))

@@ -94,11 +94,11 @@ def notifying(settings: Settings, parts: OwnerParts, owner: Owner, archive: Arch
         yield
         return
     from agent.notifications.channels import dispatcher_of  # noqa: PLC0415
-    from agent.service.daemon.notices import CLOSE_TIMEOUT_S, EndedRun, NoticeMaker, NoticeWatch  # noqa: PLC0415
+    from agent.service.daemon.notices import CLOSE_TIMEOUT_S, ConcludedRun, NoticeMaker, NoticeWatch  # noqa: PLC0415
 
-    def ended(run_id: str) -> EndedRun | None:
+    def ended(run_id: str) -> ConcludedRun | None:
         try:
-            return EndedRun(archive.run(run_id), parts.journal_state.end_number(run_id))
+            return ConcludedRun(archive.run(run_id), parts.journal_state.end_number(run_id))
         except VolcalError as error:  # refused before the journal had it, or the journal cannot be read
             log.info("a run is told without its figures", run_id=run_id, reason=str(error))
             return None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +13,14 @@ from receivers import Mailbox, free_port, mail_server, secret_file, web_receiver
 from service_house import settings_document
 
 from agent.cli.notify import notify_command
+from agent.settings.notifications import ChannelSettings, MailSettings, MqttSettings, WebhookSettings
 from agent.settings.schema import Settings, parse_settings
 from drivers.errors import ConfigurationError
 from twin.errors import FormatError
 from twin.formats.toml_reading import validate_document
 
 MAIL = {"host": "mail.plant.example", "sender": "volcal@plant.example", "to": ["ann@plant.example"]}
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "reference" / "settings.md"
 MQTT = {"host": "broker.plant.example"}
 
 
@@ -132,6 +136,25 @@ def test_what_cannot_be_meant_is_refused(tmp_path, sections, reason) -> None:
     with pytest.raises(FormatError) as refused:
         read(tmp_path, **sections)
     assert reason in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("heading", "models"),
+    [
+        ("the section of a receiver", (ChannelSettings,)),
+        ("`[notifications.mqtt]`", (MqttSettings,)),
+        ("`[notifications.webhook]`", (WebhookSettings,)),
+        ("`[notifications.mail]`", (MailSettings,)),
+    ],
+)
+def test_the_page_has_each_key_of_a_receiver_with_its_default(heading, models) -> None:
+    (table,) = re.findall(rf"\n\| in {re.escape(heading)} \|[^\n]*\n\|[-|]+\n((?:\|[^\n]*\n)+)", PAGE.read_text())
+    stated = dict(re.findall(r"^\| `(\w+)` \| `?(.+?)`? \|", table, re.MULTILINE))
+    common = set(ChannelSettings.model_fields) if models != (ChannelSettings,) else set()
+    fields = {name: field for model in models for name, field in model.model_fields.items() if name not in common}
+    assert stated == {
+        name: "required" if field.is_required() else json.dumps(field.default) for name, field in fields.items()
+    }
 
 
 # ---------------------------------------------------------------------- volcal notify
