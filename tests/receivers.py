@@ -62,6 +62,15 @@ def free_port() -> int:
         return int(unused.getsockname()[1])
 
 
+@contextmanager
+def port_of_nobody() -> Iterator[int]:
+    """Port at which nobody listens and that no other process is given meanwhile; a server of ours may bind it."""
+    with socket.socket() as holding:
+        holding.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        holding.bind(("127.0.0.1", 0))
+        yield int(holding.getsockname()[1])
+
+
 @dataclass(frozen=True)
 class Certificate:
     """Self-signed certificate of 127.0.0.1, which is its own authority."""
@@ -193,7 +202,7 @@ def mail_server(box: Mailbox, port: int, tls: Certificate | None = None, *, from
         controller.stop()
 
 
-def _authenticated(server: Any, session: Any, envelope: Any, mechanism: str, data: Any) -> AuthResult:
+def _authenticated(server: Any, session: Any, envelope: Any, _mechanism: str, data: Any) -> AuthResult:
     good = isinstance(data, LoginPassword) and (data.login, data.password) == (NAME.encode(), PASSWORD.encode())
     return AuthResult(success=good, handled=False)
 

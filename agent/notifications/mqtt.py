@@ -42,7 +42,7 @@ class _BoundedClient(Client):
         return plain if self._tls is None else self._tls.wrap_socket(plain, server_hostname=self._host)
 
     def _note_answer(
-        self, client: Client, userdata: object, flags: ConnectFlags, reason: ReasonCode, properties: Properties | None
+        self, client: Client, _userdata: object, flags: ConnectFlags, reason: ReasonCode, properties: Properties | None
     ) -> None:
         self.answer = reason
 
