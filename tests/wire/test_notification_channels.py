@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import hmac
 import json
+import socket
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -96,7 +97,12 @@ def test_the_latest_state_is_retained_and_notices_are_not(tmp_path: Path) -> Non
 @needs_mosquitto
 def test_the_password_and_the_notice_go_over_tls(tmp_path: Path) -> None:
     port, tls = free_port(), certificate(tmp_path)
-    chosen = {"tls": True, "ca_file": tls.certificate, "username": NAME, "password_file": secret_file(tmp_path)}
+    chosen: dict[str, Any] = {
+        "tls": True,
+        "ca_file": tls.certificate,
+        "username": NAME,
+        "password_file": secret_file(tmp_path),
+    }
     with mosquitto(tmp_path, port, tls), subscribed(port, "volcal/#", tls) as messages:
         mqtt(port, **chosen).send(notice())
         assert json.loads(messages.get(timeout=PATIENCE_S).payload)["notice_id"] == "n-1"
@@ -109,7 +115,7 @@ def test_the_password_and_the_notice_go_over_tls(tmp_path: Path) -> None:
 @needs_mosquitto
 def test_a_broker_with_a_foreign_certificate_gets_no_password(tmp_path: Path) -> None:
     port, tls, other = free_port(), certificate(tmp_path), certificate(tmp_path, "other")
-    chosen = {"username": NAME, "password_file": secret_file(tmp_path), "ca_file": other.certificate}
+    chosen: dict[str, Any] = {"username": NAME, "password_file": secret_file(tmp_path), "ca_file": other.certificate}
     with mosquitto(tmp_path, port, tls), pytest.raises(DeliveryFailed, match="certificate of the receiver"):
         mqtt(port, tls=True, **chosen).send(notice())
 
@@ -183,7 +189,7 @@ def test_a_mail_says_it_in_words_to_all_recipients() -> None:
 @pytest.mark.parametrize("from_start", [False, True])
 def test_the_password_of_the_mail_server_goes_over_tls(tmp_path: Path, from_start: bool) -> None:
     box, port, tls = Mailbox(), free_port(), certificate(tmp_path)
-    chosen = {
+    chosen: dict[str, Any] = {
         "security": "tls" if from_start else "starttls",
         "ca_file": tls.certificate,
         "username": NAME,
@@ -251,12 +257,13 @@ def test_a_bad_receiver_is_left_in_time(name: str, script: Any) -> None:
 @pytest.mark.parametrize("script", [hang, drip_tls, floods, shut])
 @pytest.mark.parametrize("name", CHANNELS)
 def test_a_tls_handshake_that_does_not_end_is_left_in_time(tmp_path: Path, name: str, script: Any) -> None:
-    tls: dict[str, Any] = {"ca_file": certificate(tmp_path).certificate}
     with scripted(script) as port, pytest.raises(DeliveryFailed):
-        tls |= {"mqtt": {"tls": True}, "webhook": {"url": f"https://127.0.0.1:{port}/"}, "mail": {"security": "tls"}}[
-            name
-        ]
-        CHANNELS[name](port, QUICK_S, **tls).send(notice())
+        chosen: dict[str, dict[str, Any]] = {
+            "mqtt": {"tls": True},
+            "webhook": {"url": f"https://127.0.0.1:{port}/"},
+            "mail": {"security": "tls"},
+        }
+        CHANNELS[name](port, QUICK_S, ca_file=certificate(tmp_path).certificate, **chosen[name]).send(notice())
 
 
 @pytest.mark.parametrize("name", CHANNELS)
@@ -266,14 +273,19 @@ def test_a_receiver_that_is_away_cannot_be_reached(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", CHANNELS)
-def test_a_name_that_does_not_exist_cannot_be_reached(name: str) -> None:
-    tls: dict[str, Any] = {
-        "mqtt": {"host": "receiver.invalid", "tls": True},
-        "webhook": {"url": "https://receiver.invalid/"},
-        "mail": {"host": "receiver.invalid", "security": "starttls"},
-    }[name]
-    with pytest.raises(DeliveryFailed, match=r"receiver\.invalid"):
-        CHANNELS[name](free_port(), **tls).send(notice())
+def test_a_name_that_does_not_exist_cannot_be_reached(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def unknown(*_: object, **__: object) -> None:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(socket, "getaddrinfo", unknown)
+    chosen: dict[str, dict[str, Any]] = {
+        "mqtt": {"host": "receiver.example", "tls": True},
+        "webhook": {"url": "https://receiver.example/"},
+        "mail": {"host": "receiver.example", "security": "starttls"},
+    }
+    with pytest.raises(DeliveryFailed, match="cannot be reached: name or service not known") as failed:
+        CHANNELS[name](1, **chosen[name]).send(notice())
+    assert "receiver.example" in failed.value.where["receiver"]
 
 
 @pytest.mark.parametrize(

@@ -180,7 +180,7 @@ def test_a_run_that_is_refused_before_the_journal_has_it_is_told(tmp_path, monke
 
 
 def test_a_request_of_the_timer_that_is_not_carried_out_is_told(tmp_path, monkeypatch) -> None:
-    hours = {"service": {"hours": ["22:00-01:00"]}}
+    hours: dict[str, Any] = {"service": {"hours": ["22:00-01:00"]}}
     with house(tmp_path, **hours) as built, telling(tmp_path, monkeypatch, built, mail=MAIL, language="de") as boxes:
         with pytest.raises(GateRefused):
             built.owner.start(BY_TIMER)
