@@ -98,6 +98,10 @@ OWN_COMMANDS = {
         "agent.cli.run_commands.nightly:nightly_command",
         "Verify the machine and, within limits, fuse the measurements of the slot with earlier nights.",
     ),
+    "notify": OwnCommand(
+        "agent.cli.notify:notify_command",
+        "Send a test notice to every receiver of the settings, once and without the service.",
+    ),
     "plan": OwnCommand(
         "agent.cli.run_commands.plan:plan_command",
         "Run the preflight of the whole procedure: limits, collisions, minutes and the expected VCE.",

@@ -93,16 +93,20 @@ class Journal:
         The acknowledgement is stored as an event that is not part of the procedure, so the run can still be resumed.
         Raises JournalFailed if the event cannot be written.
         """
+        self._insert_after_end(run_id, "acknowledged", {}, "the reset")
+
+    def record_alarm(self, run_id: str, record: Mapping[str, Any]) -> None:
+        """Record durably the alarm with which the run `run_id` ended, in the same way as an acknowledgement."""
+        self._insert_after_end(run_id, "alarm", record, "the alarm")
+
+    def _insert_after_end(self, run_id: str, kind: str, record: Mapping[str, Any], what: str) -> None:
         try:
             self._connection.execute(
-                "INSERT INTO events (run, at, kind, record, aside) "
-                "SELECT run, ?, 'acknowledged', '{}', 1 FROM runs WHERE run_id = ?",
-                (utc_timestamp(), run_id),
+                "INSERT INTO events (run, at, kind, record, aside) SELECT run, ?, ?, ?, 1 FROM runs WHERE run_id = ?",
+                (utc_timestamp(), kind, to_json(record), run_id),
             )
         except sqlite3.Error as error:
-            raise JournalFailed(
-                f"the reset cannot be recorded: {error}", hint=_DISK_HINT, file=str(self.path)
-            ) from error
+            raise JournalFailed(f"{what} cannot be recorded: {error}", hint=_DISK_HINT, file=str(self.path)) from error
 
 
 @dataclass

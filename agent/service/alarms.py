@@ -134,6 +134,12 @@ def alarm_code(error: BaseException) -> AlarmCode:
     return DEFECT
 
 
+def code_of_name(name: str, unknown: AlarmCode) -> AlarmCode:
+    """Return the alarm code of the error class that is called `name`, or `unknown` if no class with a number has this
+    name."""
+    return next((code for kind, code in CODES.items() if kind.__name__ == name), unknown)
+
+
 def alarm_of(error: BaseException) -> Alarm:
     """Return an alarm with the text, the location and the hint of the error. If the error has no hint, use the general
     hint of its alarm code, or that of a wrong entry if the error names no file."""

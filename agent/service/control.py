@@ -14,6 +14,7 @@ from queue import Queue
 from typing import Any, Protocol
 
 from agent.execution.states import RunState
+from agent.notifications.dispatcher import ReceiverState
 from agent.results.run_verdict import RunVerdict
 from agent.runs.run_request import RunRequest, Source
 from agent.runs.unproved_table import UnprovedTable
@@ -82,6 +83,7 @@ class Status:
       `read_problem` then says why the controller could not be read.
     - `read_age_s` is the time in s since it was read between runs; None if it never was, or while a run is in progress.
     - `links` says of each device whether it answered when it was last asked, or why it is not read between runs.
+    - `receivers` says of each channel of the notifications how many notices wait and why it does not deliver.
     - `written_not_active` is the bank whose table has been written but becomes active only when the controller is
       restarted.
     """
@@ -109,6 +111,7 @@ class Status:
     read_age_s: float | None = None
     read_problem: str = ""
     links: tuple[LinkState, ...] = ()
+    receivers: tuple[ReceiverState, ...] = ()
     written_not_active: int | None = None
     unfinished: str | None = None
     unproved: UnprovedTable | None = None

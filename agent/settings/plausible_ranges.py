@@ -127,6 +127,8 @@ SETTINGS_RANGES: Mapping[str, PlausibleRange] = {
     "history.held_out_tolerance_um": PlausibleRange(0.1, 2000.0),
     "gateway.idle_timeout_s": PlausibleRange(1.0, 3600.0),
     "gateway.panel_timeout_s": PlausibleRange(2.0, 600.0),
+    "notifications.max_age_hours": PlausibleRange(0.5, 720.0),
+    "notifications.*.timeout_s": PlausibleRange(2.0, 120.0),
 }
 """Plausible range of each length, mass and time of the settings file, by key."""
 

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from agent.settings.history import HistorySettings
+from agent.settings.notifications import NotificationSettings
 from agent.settings.opcua import OpcUaSettings
 from agent.settings.panel_gateway import GatewaySettings
 from agent.settings.service import ServiceSettings
@@ -339,6 +340,7 @@ class Settings(StrictModel):
     history: HistorySettings = HistorySettings()
     gateway: GatewaySettings = GatewaySettings()
     opcua: OpcUaSettings = OpcUaSettings()
+    notifications: NotificationSettings = NotificationSettings()
 
     @model_validator(mode="before")
     @classmethod
@@ -367,8 +369,9 @@ class Settings(StrictModel):
     def resolved(self, base: Path) -> Settings:
         """Return these settings with relative paths resolved against the directory `base`."""
         paths = {name: (base / getattr(self, name)).resolve() for name in ("machine", "artefact", "state_directory")}
-        doors = {name: getattr(self, name).resolved(base) for name in ("service", "gateway", "opcua", "history")}
-        return self.model_copy(update={**paths, **doors, "stations": self.stations.resolved(base)})
+        doors = ("service", "gateway", "opcua", "history", "notifications")
+        sections = {name: getattr(self, name).resolved(base) for name in doors}
+        return self.model_copy(update={**paths, **sections, "stations": self.stations.resolved(base)})
 
 
 def parse_settings(text: str, source: str) -> Settings:

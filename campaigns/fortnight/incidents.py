@@ -9,9 +9,10 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+from agent.errors import Interrupted
 from agent.execution.journal_reader import open_journal
 from agent.results.run_outcome import Decision
-from agent.service.state.journal_state import INTERRUPTED_CODE
+from agent.service.alarms import CODES
 from campaigns.fortnight.evening import Evening, ExpectedRun
 from campaigns.fortnight.plant import FortnightPlant
 from campaigns.fortnight.service_process import STATUS_POLL_S, TIMEOUT_S, ServiceHost, wait_for
@@ -107,7 +108,7 @@ class Incidents:
         self._host.kill_service()
         self._set_time(evening, 25)
         self._host.serve()
-        self._expect_state(evening, "faulted", INTERRUPTED_CODE)
+        self._expect_state(evening, "faulted", CODES[Interrupted].code)
         code, said = self._finish(evening, waiting)
         evening.claims["the timer's command tells it"] = code == ABORTED and "interrupted" in said
         self._sticky_until_reset(evening)

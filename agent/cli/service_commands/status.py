@@ -70,6 +70,9 @@ def _rows(status: Mapping[str, Any]) -> list[tuple[str, str]]:
     if status["question"]:
         question = status["question"]
         rows.append((f"question {question['number']}", question["text"]))
+    for one in status["receivers"]:
+        if one["problem"]:
+            rows.append((f"{one['channel']} fails", f"{one['waiting']} notices wait: {one['problem']}"))
     rows += [(f"alarm {a['code']}", f"{a['text']}. {a['hint']}") for a in status["alarms"]]
     return [*rows, ("accepted requests", ", ".join(status["may"]) or "none")]
 

@@ -4,7 +4,8 @@ runs the main loop until the service is stopped."""
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import structlog
@@ -34,6 +35,7 @@ from agent.service.token import make_token, read_token, token_path
 from agent.settings.load import load_settings
 from agent.settings.schema import Settings
 from drivers.clock import RealClock
+from drivers.errors import VolcalError
 from twin.units import S_PER_MIN
 
 log = structlog.get_logger()
@@ -74,11 +76,47 @@ def serve(config: Path, circumstances: Callable[[], Circumstances] = current_cir
         endpoints = [http, *further_endpoints(settings)]
         with open_endpoints(endpoints, owner):
             log.info("serving", url=http.url, machine=settings.machine.name, state_directory=str(directory))
-            with idle_reading(owner):
+            with notifying(settings, parts, owner, app_state.archive), idle_reading(owner):
                 MainLoop(owner, parts.health, Notifier(), signals, config, endpoints).run()
             parts.event_log.close()
         if not parts.reports.close(REPORT_TIMEOUT_S):
             log.warning("a report was not finished; it is rendered on request")
+
+
+@contextmanager
+def notifying(settings: Settings, parts: OwnerParts, owner: Owner, archive: Archive) -> Iterator[None]:
+    """Tell the receivers of the settings about the events of the service for the duration of the `with` block.
+
+    Raise ConfigurationError if a file that the settings name cannot be used. If nobody is to be told, nothing is
+    imported or started.
+    """
+    if not settings.notifications.channels:
+        yield
+        return
+    from agent.notifications.channels import dispatcher_of  # noqa: PLC0415
+    from agent.service.daemon.notices import CLOSE_TIMEOUT_S, ConcludedRun, NoticeMaker, NoticeWatch  # noqa: PLC0415
+
+    def ended(run_id: str) -> ConcludedRun | None:
+        try:
+            return ConcludedRun(archive.run(run_id), parts.journal_state.end_number(run_id))
+        except VolcalError as error:  # refused before the journal had it, or the journal cannot be read
+            log.info("a run is told without its figures", run_id=run_id, reason=str(error))
+            return None
+
+    def note(text: str) -> None:
+        parts.event_log.publish("note", text)
+
+    chosen = settings.notifications
+    dispatcher = dispatcher_of(chosen, settings.state_directory, parts.board.show_receiver, note)
+    last = parts.journal_state.last_run_id()
+    watch = NoticeWatch(NoticeMaker(chosen, owner.status, ended), dispatcher)
+    dispatcher.start()
+    try:
+        with owner.subscribe() as events, watch.watching(events, None if last is None else ended(last)):
+            yield
+    finally:
+        if not dispatcher.close(CLOSE_TIMEOUT_S):
+            log.info("a notice is still being delivered; it is delivered again after the next start")
 
 
 def _owner_parts(

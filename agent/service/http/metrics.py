@@ -47,4 +47,6 @@ def live_gauges(status: Status) -> dict[str, float]:
         "run_fraction": status.fraction,
         "run_unfinished": float(status.unfinished is not None),
         "alarms_open": float(len(status.alarms)),
+        "notices_waiting": float(sum(one.waiting for one in status.receivers)),
+        "receivers_failing": float(sum(bool(one.problem) for one in status.receivers)),
     }

@@ -121,6 +121,15 @@ class LinkView(BaseModel):
     unread: str
 
 
+class ReceiverView(BaseModel):
+    """Channel of the notifications. `waiting` is the number of notices that it has not delivered yet; `problem` says
+    why it does not deliver, and is empty if it does."""
+
+    channel: Literal["mqtt", "webhook", "mail"]
+    waiting: int
+    problem: str
+
+
 class VerdictView(BaseModel):
     """Verdict on a run: a stable `name`, its colour and shape on the page (`look`, `sign`), and English texts."""
 
@@ -158,6 +167,7 @@ class StatusView(BaseModel):
     read_age_s: float | None
     read_problem: str
     links: list[LinkView]
+    receivers: list[ReceiverView]
     written_not_active: int | None
     unfinished: str | None
     unproved: UnprovedTableView | None

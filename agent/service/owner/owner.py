@@ -27,7 +27,7 @@ from agent.runs.run_request import RunRequest, Source
 from agent.runs.session import RunResult, new_run_id
 from agent.service import allowed_requests
 from agent.service.alarms import alarm_of
-from agent.service.control import Event, Status
+from agent.service.control import Alarm, Event, Status
 from agent.service.owner.owner_parts import OwnerParts
 from agent.service.owner.questions import Questions
 from agent.service.owner.run_hooks import RunHooksFactory, night_slot
@@ -164,7 +164,7 @@ class Owner:
         with self._changed:
             self._await_reading()
             self._require_nothing_runs()
-            if self._board.state in allowed_requests.STICKY:
+            if self._board.state in allowed_requests.STICKY or self._board.status().alarms:
                 self._parts.journal_state.acknowledge(self._board.status().run_id)
             if self._board.state is not RunState.IDLE or self._board.status().alarms:
                 self._reconciled = self._reconciled and not self._board.status().alarms  # its cause may still stand
@@ -331,7 +331,8 @@ class Owner:
         self._release()
         if isinstance(error, VolcalError):
             text = f"{request.kind} requested by {request.source} was not started: {error.message}"
-            self._parts.event_log.publish("note", text, {"hint": error.hint, "source": request.source})
+            data = {"not_started": request.kind, "hint": error.hint, "source": request.source}
+            self._parts.event_log.publish("note", text, data)
             log.warning(text, hint=error.hint)
 
     def _begin(
@@ -382,6 +383,9 @@ class Owner:
 
     def _conclude(self, state: RunState, error: BaseException | None) -> None:
         idle, measured = self._idle_status(), self._measured()
+        alarm = None if error is None else alarm_of(error)
+        if alarm is not None:
+            self._record(alarm)
         with self._changed:
             read = self._board.status()
             self._board.show_idle(idle)
@@ -392,8 +396,8 @@ class Owner:
             elif read.active_bank is not None:
                 self._board.show_bank(read.active_bank)
             self._parts.live_view.end_run()
-            if error is not None:
-                self._board.alarm(alarm_of(error))
+            if alarm is not None:
+                self._board.alarm(alarm)
             if state in allowed_requests.STICKY:
                 self._reconciled = False
             self._running = None
@@ -408,6 +412,16 @@ class Owner:
         except Exception:  # these figures are for display only: the machine must be released without them
             log.exception("state of the machine between runs unknown")
             return IdleStatus()
+
+    def _record(self, alarm: Alarm) -> None:
+        """Record the alarm with which the run ended. If this is not possible, only log it: the machine must be released
+        and the alarm shown without it."""
+        run_id = self._board.status().run_id
+        try:
+            if run_id is not None:
+                self._parts.journal_state.record_alarm(run_id, alarm)
+        except VolcalError as error:
+            log.warning("the alarm will have lost its number after a restart", code=alarm.code, reason=str(error))
 
     def _measured(self) -> tuple[int, int] | None:
         try:

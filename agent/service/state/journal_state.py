@@ -3,20 +3,23 @@ reset has acknowledged it, the way in which the last run ended."""
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
 import structlog
 
-from agent.errors import JournalFailed
+from agent.errors import Aborted, Interrupted, JournalFailed
 from agent.execution.journal import Journal
 from agent.execution.journal_reader import JournalReader, has_journal, open_journal
+from agent.execution.journal_rows import RunRow
 from agent.execution.states import FINAL, RunState
 from agent.planning.job_preparation import prepare_job
-from agent.results.run_verdict import ABORTED, FAULTED, UNFINISHED, RunVerdict, run_figures
+from agent.results.run_verdict import UNFINISHED, RunVerdict, run_figures, verdict_of
 from agent.runs.reconcile import unproved_table
 from agent.runs.reference_state import ACTIVATING_DECISIONS, reference_for
 from agent.runs.unfinished_run import unfinished_run
+from agent.service.alarms import CODES, AlarmCode, code_of_name
 from agent.service.allowed_requests import STICKY
 from agent.service.control import Alarm
 from agent.service.state.status_board import IdleStatus
@@ -25,8 +28,9 @@ from drivers.errors import VolcalError
 
 log = structlog.get_logger()
 
-INTERRUPTED_CODE = 480
-FAULT_CODE = 100
+
+_ENDED_BADLY = STICKY | {RunState.REFUSED}
+"""Final states of which the alarm stays until a reset."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +56,12 @@ class JournalState:
     directory: Path
 
     def unacknowledged_end(self) -> UnacknowledgedEnd | None:
-        """Return the end of the last run if it was aborted, faulted or interrupted and no reset has acknowledged it.
-        Otherwise return None."""
+        """Return the end of the last run if it was aborted, faulted, interrupted or refused with an alarm, and no reset
+        has acknowledged it. Otherwise return None.
+
+        The alarm is the one that the service has recorded. If there is none, because the run was not the service's or
+        the service ended with it, the alarm has the number of the error that the run has journaled.
+        """
         if not has_journal(self.directory):
             return None
         with open_journal(self.directory, JournalFailed) as reader:
@@ -61,18 +69,22 @@ class JournalState:
             if run is None or _acknowledged(reader, run.run):
                 return None
             measured = (run.started, reader.count_balls(run.run), reader.count_touches(run.run))
+            recorded, verdict = _recorded_alarm(reader, run.run), _verdict(reader, run)
+            journaled = _journaled_code(reader, run)
         left = unfinished_run(self.directory)
         resumes = f"; `volcal resume` then resumes run {left.run_id}" if left is not None and left.resumable else ""
         state = RunState(run.state)
-        if state in STICKY:
-            alarm = Alarm(FAULT_CODE, run.reason or state.value, f"remove the cause, then reset{resumes}")
-            verdict = ABORTED if state is RunState.ABORTED else FAULTED
+        if state in _ENDED_BADLY and (recorded is not None or state in STICKY):
+            hint = f"remove the cause, then reset{resumes}"
+            alarm = recorded or Alarm(journaled.code, run.reason or state.value, hint)
             return UnacknowledgedEnd(state, run.run_id, run.kind, alarm, verdict, *measured)
         if state in FINAL or state is RunState.WRITTEN:
             return None
+        if recorded is not None:  # a defect ended the run before it could journal its end
+            return UnacknowledgedEnd(RunState.FAULTED, run.run_id, run.kind, recorded, UNFINISHED, *measured)
         text = f"run {run.run_id} was interrupted while {state.value}"
         hint = f"check the machine, since nothing was recorded after that; then reset{resumes}"
-        alarm = Alarm(INTERRUPTED_CODE, text, hint)
+        alarm = Alarm(CODES[Interrupted].code, text, hint)
         return UnacknowledgedEnd(RunState.FAULTED, run.run_id, run.kind, alarm, UNFINISHED, *measured)
 
     def measured(self, run_id: str | None) -> tuple[int, int] | None:
@@ -83,16 +95,34 @@ class JournalState:
             run = reader.run(run_id)
             return None if run is None else (reader.count_balls(run.run), reader.count_touches(run.run))
 
+    def last_run_id(self) -> str | None:
+        """Return the identity of the last run, or None if there is none."""
+        if not has_journal(self.directory):
+            return None
+        with open_journal(self.directory, JournalFailed) as reader:
+            run = reader.last_run()
+        return None if run is None else run.run_id
+
+    def end_number(self, run_id: str) -> int:
+        """Return the number of the last change of state of a run, which differs for each end of a resumed run."""
+        with open_journal(self.directory, JournalFailed) as reader:
+            return reader.last_event_number(reader.require_run(run_id).run, "state")
+
     def acknowledge(self, run_id: str | None) -> None:
         """Record in the journal that the end of a run is acknowledged. Raise JournalFailed if the record cannot be
         written."""
         if run_id is None or not has_journal(self.directory):
             return
-        journal = Journal(self.directory)
-        try:
+        with closing(Journal(self.directory)) as journal:
             journal.acknowledge(run_id)
-        finally:
-            journal.close()
+
+    def record_alarm(self, run_id: str, alarm: Alarm) -> None:
+        """Record in the journal the alarm with which a run ended, so that it keeps its number and cause when the
+        service is restarted. Raise JournalFailed if the record cannot be written."""
+        if not has_journal(self.directory):
+            return
+        with closing(Journal(self.directory)) as journal:
+            journal.record_alarm(run_id, {**vars(alarm), "where": dict(alarm.where)})
 
     def idle_status(self, settings: Settings, base: Path) -> IdleStatus:
         """Return the state of the machine as recorded in the journal. If the journal cannot be read, log the error and
@@ -126,6 +156,33 @@ def _acknowledged(reader: JournalReader, run: int) -> bool:
     A reset stores the event "acknowledged" with the run, so that an unacknowledged fault survives a restart of the
     service. A run that is resumed enters new states after this event, so a later fault must be acknowledged again."""
     return reader.last_event_number(run, "acknowledged") > reader.last_event_number(run, "state")
+
+
+def _recorded_alarm(reader: JournalReader, run: int) -> Alarm | None:
+    """Return the alarm that the service has recorded since the run last changed its state."""
+    since = reader.last_event_number(run, "state")
+    rows = reader.events(run, ("alarm",), after=since)
+    if not rows:
+        return None
+    record = rows[-1].record
+    try:
+        where = {str(place): str(found) for place, found in record["where"].items()}
+        return Alarm(int(record["code"]), str(record["text"]), str(record["hint"]), where)
+    except (AttributeError, KeyError, TypeError, ValueError):  # another version, or a damaged record
+        log.warning("the recorded alarm cannot be read", number=rows[-1].number)
+        return None
+
+
+def _journaled_code(reader: JournalReader, run: RunRow) -> AlarmCode:
+    """Return the alarm code of the last error that the run has journaled."""
+    faults = reader.events(run.run, ("fault",))
+    unnamed = Aborted if run.state == RunState.ABORTED.value else VolcalError
+    return code_of_name(str(faults[-1].record.get("type", "")) if faults else "", CODES[unnamed])
+
+
+def _verdict(reader: JournalReader, run: RunRow) -> RunVerdict:
+    figures = run_figures(reader.decision_records(run.run))
+    return verdict_of(run.kind, run.state, ended=True, accepted=figures.accepted, decision=figures.decision)
 
 
 def _volumetric_errors(settings: Settings, base: Path) -> tuple[float | None, float | None]:

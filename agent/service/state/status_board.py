@@ -14,6 +14,7 @@ import structlog
 from agent.execution.run_state import Announcement
 from agent.execution.states import PACKML, RunState
 from agent.execution.steps import ActivateBank, ReadActiveBank, ReadTemperatures, Record, Step, TouchTowards
+from agent.notifications.dispatcher import ReceiverState
 from agent.planning.run_phases import HOMING, PREFLIGHT, PROBE_CHECK, QUALIFICATION, REVERSAL, VERIFICATION
 from agent.results.run_outcome import Outcome
 from agent.results.run_verdict import RunVerdict, verdict_of
@@ -130,6 +131,13 @@ class StatusBoard:
         if bank is not None:
             self._read_at_s = self.now()
         self._change(active_bank=bank, read_problem=problem)
+
+    def show_receiver(self, shown: ReceiverState) -> None:
+        """Show the state of a channel of the notifications."""
+        with self._lock:
+            others = (one for one in self._status.receivers if one.channel != shown.channel)
+            receivers = tuple(sorted((*others, shown), key=lambda one: one.channel))
+            self._status = replace(self._status, receivers=receivers)
 
     def must_compare(self, active: int, waiting: int | None) -> bool:
         """Return True if the banks that were read are not those shown, so that they must be compared with the
@@ -275,7 +283,8 @@ class StatusBoard:
             verdict = verdict_of(self._status.kind or "", state.value, ended=True, accepted=None, decision=None)
         ended = {**_NO_PHASE, "simulated_steps": 0} if state in AT_REST else {}
         self._change(state=state, packml=PACKML[state], verdict=verdict, **ended)
-        self.event_log.publish("state", text, {"state": state.value, "packml": PACKML[state]})
+        run = {"run_id": self._status.run_id, "kind": self._status.kind}
+        self.event_log.publish("state", text, {"state": state.value, "packml": PACKML[state], **run})
         log.info("state", state=state.value, former=former.value, text=text)
 
     # ------------------------------------------------------------------

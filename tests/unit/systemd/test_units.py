@@ -121,7 +121,8 @@ def test_the_end_of_a_run_has_the_time_that_the_service_gives_it() -> None:
 
 def test_both_read_the_same_secret() -> None:
     assert "token:volcal.token" in settings("volcal-nightly.service")["LoadCredential"]
-    assert settings("volcal.service")["LoadCredential"] == ["token:volcal.token", "panel-code:volcal.panel-code"]
+    names = ("token", "panel-code", "mqtt-password", "webhook-key", "mail-password")
+    assert settings("volcal.service")["LoadCredential"] == [f"{name}:volcal.{name}" for name in names]
 
 
 @pytest.mark.parametrize("script", ["postinst", "prerm", "postrm"])

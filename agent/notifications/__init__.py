@@ -1,0 +1,1 @@
+"""Notices about alarms and the ends of runs, and their delivery by MQTT, HTTP and mail."""

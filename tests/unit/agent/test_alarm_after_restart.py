@@ -1,0 +1,123 @@
+"""An alarm keeps its number, cause, remedy and place when the service is restarted, until a reset acknowledges it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from journaled import SETTINGS
+from service_house import House, house
+
+from agent.errors import Aborted, GateRefused, Interrupted
+from agent.execution.journal import Journal
+from agent.execution.states import RunState
+from agent.runs.run_request import RunRequest
+from agent.service.alarms import CODES, DEFECT
+from agent.service.control import Alarm
+from drivers.clock import VirtualClock
+from drivers.errors import LinkLost, MotionFault, VolcalError
+
+CALIBRATE = RunRequest(kind="calibrate", source="page", consent=True)
+LOST = LinkLost("no answer from 10.0.0.7", hint="plug it in", device="cnc").at(step="station-1/ball-02")
+
+
+def journal_run(state: Path, run_id: str, ends: RunState, fault: BaseException | None = None) -> None:
+    """Write what a run leaves in the journal that ends so; if it is still measuring, it has no end."""
+    journal = Journal(state)
+    try:
+        run = journal.start_run(run_id, "calibrate", SETTINGS, "1.2.3", VirtualClock())
+        run.state(RunState.PREFLIGHT)
+        if ends is not RunState.REFUSED:
+            run.state(RunState.MEASURING)
+        if fault is not None:
+            run.fault(fault)
+        if ends is not RunState.MEASURING:
+            run.state(ends, str(fault), final=True)
+    finally:
+        journal.close()
+
+
+def ended(built: House, state: Path, ends: RunState, error: VolcalError) -> Alarm:
+    """Carry out a run that ends with `error`, and return the alarm that the service shows."""
+    run_id = built.owner.start(CALIBRATE)
+    built.puppet.begun()
+    journal_run(state, run_id, ends, error)
+    built.puppet.end(ends, error)
+    assert built.owner.wait(600.0)
+    (alarm,) = built.owner.status().alarms
+    return alarm
+
+
+@pytest.mark.parametrize(
+    ("ends", "error"),
+    [
+        (RunState.FAULTED, LOST),
+        (RunState.ABORTED, Aborted("abort pressed")),
+        (RunState.ABORTED, Interrupted("the service is being stopped")),
+        (RunState.REFUSED, GateRefused("the fit is worse than its limit", hint="clean the balls")),
+    ],
+)
+def test_an_alarm_is_the_same_after_a_restart(tmp_path, ends, error) -> None:
+    with house(tmp_path) as before:
+        alarm = ended(before, tmp_path, ends, error)
+        assert alarm.code == CODES[type(error)].code
+    with house(tmp_path) as after:
+        status = after.owner.status()
+        assert status.state is ends
+        assert status.alarms == (alarm,)
+        after.owner.reset()
+        assert after.owner.status().alarms == ()
+    with house(tmp_path) as acknowledged:
+        status = acknowledged.owner.status()
+        assert (status.state, status.alarms) == (RunState.IDLE, ())
+
+
+def test_a_defect_keeps_its_number_though_the_run_could_not_journal_its_end(tmp_path) -> None:
+    with house(tmp_path) as before:
+        run_id = before.owner.start(CALIBRATE)
+        before.puppet.begun()
+        journal_run(tmp_path, run_id, RunState.MEASURING)
+        before.puppet.crash(ZeroDivisionError("a defect"))
+        assert before.owner.wait(600.0)
+        (alarm,) = before.owner.status().alarms
+        assert alarm.code == DEFECT.code
+    with house(tmp_path) as after:
+        assert after.owner.status().state is RunState.FAULTED
+        assert after.owner.status().alarms == (alarm,)
+
+
+@pytest.mark.parametrize(
+    ("ends", "fault", "code"),
+    [
+        (RunState.FAULTED, LOST, 311),
+        (RunState.FAULTED, MotionFault("limit of X"), 330),
+        (RunState.ABORTED, None, 470),
+        (RunState.FAULTED, RuntimeError("of a plugin"), 100),
+        (RunState.MEASURING, None, 480),
+    ],
+)
+def test_a_run_of_the_command_line_has_the_number_of_what_it_journaled(tmp_path, ends, fault, code) -> None:
+    journal_run(tmp_path, "20261121T020000Z-0000", ends, fault)
+    with house(tmp_path) as built:
+        (alarm,) = built.owner.status().alarms
+        assert alarm.code == code
+        if fault is not None:
+            assert str(fault) in alarm.text
+
+
+def test_an_alarm_of_before_a_resumption_is_not_shown_for_a_later_end(tmp_path) -> None:
+    with house(tmp_path) as before:
+        ended(before, tmp_path, RunState.FAULTED, LOST)
+        run_id = before.puppet.started[-1].run_id
+    journal = Journal(tmp_path)
+    try:
+        number = 1
+        record = journal.continue_run(number, run_id, VirtualClock())[0]
+        record.state(RunState.MEASURING)
+        record.fault(MotionFault("limit of X"))
+        record.state(RunState.FAULTED, "limit of X", final=True)
+    finally:
+        journal.close()
+    with house(tmp_path) as after:
+        (alarm,) = after.owner.status().alarms
+        assert (alarm.code, alarm.text) == (330, "limit of X")
