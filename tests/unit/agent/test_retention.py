@@ -17,6 +17,8 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
 from journal_surgery import is_intact, operate
 from journaled import estimate
 from service_house import PATIENCE_S
@@ -28,6 +30,7 @@ from agent.execution.journal_compaction import compactable_runs, packed_record, 
 from agent.execution.journal_copy import copy_journal
 from agent.execution.journal_reader import open_journal
 from agent.execution.journal_schema import FILE_NAME, VERSION, WHOLE_VERSION
+from agent.execution.packed_run import PackedRun
 from agent.execution.run_lock import ownership
 from agent.execution.run_record import read_record, read_steps
 from agent.execution.states import RunState
@@ -313,6 +316,22 @@ def test_damage_of_a_compressed_file_names_it(state: Path, what: str) -> None:
         read_text(state / run_id(0) / "estimate.json")
     assert caught.value.where == {"file": str(path)}
     assert caught.value.hint
+
+
+CELLS = st.none() | st.integers(-(2**63), 2**63 - 1) | st.floats(allow_nan=False, allow_infinity=False) | st.text()
+
+
+@given(
+    st.lists(st.tuples(*[CELLS] * 9), max_size=5),
+    st.lists(st.tuples(*[CELLS] * 3), max_size=5),
+    st.lists(st.tuples(*[CELLS] * 3), max_size=5),
+)
+def test_packed_rows_keep_every_bit(steps: list[Any], balls: list[Any], temperatures: list[Any]) -> None:
+    rows = {"steps": steps, "balls": balls, "temperatures": temperatures}
+    packed = PackedRun(rows)
+    again = PackedRun.unpacked(compress_text(packed.text))
+    assert repr({table: [tuple(row) for row in found] for table, found in again.rows.items()}) == repr(rows)
+    assert again.balls == len(balls)
 
 
 @pytest.mark.parametrize("text", ["", "a", "µ" * 1000, "x" * 4096])
