@@ -117,8 +117,10 @@ def test_the_folder_of_a_compacted_run(identified: tuple, tmp_path: Path) -> Non
     whole = json.loads(export(identified[0], tmp_path / "whole", "isg-volcomp", "--json").stdout)
     said = json.loads(export(folder, tmp_path / "out", "isg-volcomp", "--json").stdout)
     assert said["unknown_um"] == whole["unknown_um"] is not None
-    for path in (tmp_path / "whole").glob("*.cli"):
-        assert (tmp_path / "out" / path.name).read_bytes() == path.read_bytes()
+    names = [Path(file).name for file in whole["files"]]
+    assert names
+    for name in names:
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
 
 
 class TestWrongInput:
