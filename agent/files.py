@@ -18,22 +18,25 @@ from typing import TextIO
 from drivers.errors import InputError, UserError, VolcalError
 from drivers.tables.files import sync_directory
 from twin.errors import TwinError
+from twin.formats.compressed_text import MAGIC, MAX_TEXT_BYTES, SUFFIX, expand_text
 
-MAX_TEXT_BYTES = 64_000_000
-"""Largest file that is read as text, which takes some seconds. Files of measurements and estimates are smaller."""
 FILE_MODE = 0o644
 """Mode of result files: readable by other users and programs, unlike the files that `mkstemp` creates."""
 
 
 def read_text(path: Path, *, error: type[UserError] = InputError) -> str:
-    """Return the text of a file. Raises an error of class `error` if the file cannot be read, is longer than
-    MAX_TEXT_BYTES, or is not UTF-8 text."""
+    """Return the text of a file, which may be compressed (see `present_file`). Raises an error of class `error` if the
+    file cannot be read, is longer than MAX_TEXT_BYTES, or is not UTF-8 text."""
     try:
+        path = present_file(path)
         with path.open("rb") as file:
             content = file.read(MAX_TEXT_BYTES + 1)
         if len(content) > MAX_TEXT_BYTES:
             message = f"the file is larger than {MAX_TEXT_BYTES // 1_000_000} MB"
             raise error(message, hint="check that this is the right file", file=str(path))
+        if content.startswith(MAGIC):
+            with translated(error, file=str(path)):
+                content = expand_text(content)
         return content.decode("utf-8-sig")
     except FileNotFoundError:
         raise error("there is no such file", hint="check the path", file=str(path)) from None
@@ -45,6 +48,13 @@ def read_text(path: Path, *, error: type[UserError] = InputError) -> str:
         raise error("the file is not UTF-8 text", hint=hint, file=str(path), line=line) from None
     except OSError as cause:
         raise error(f"the file cannot be read: {_reason(cause)}", file=str(path)) from None
+
+
+def present_file(path: Path) -> Path:
+    """Return the path of the compressed file, whose name has the further ending `.gz`, if there is no file at `path`
+    but a compressed one. Otherwise return `path`."""
+    compressed = path.with_name(path.name + SUFFIX) if path.name else path
+    return compressed if not path.exists() and compressed.is_file() else path
 
 
 @contextmanager

@@ -14,6 +14,7 @@ from twin.compensation.table_file import format_side_file, format_table, parse_t
 from twin.errors import FormatError
 from twin.formats.artefact_file import parse_artefact
 from twin.formats.ball_file import BallFile, format_balls, parse_balls
+from twin.formats.compressed_text import MAGIC, SUFFIX, expand_text
 from twin.formats.estimate_file import StoredEstimate, format_estimate, parse_estimate
 from twin.formats.machine_file import parse_machine
 from twin.formats.position_set_file import format_positions, parse_positions
@@ -145,15 +146,27 @@ def write_table(table: CompensationTable, path: PathName) -> Path:
 
 
 def _text(path: PathName) -> str:
-    """Return the text of a UTF-8 file. Raises FormatError with the path if the file cannot be read."""
+    """Return the text of a UTF-8 file. If there is only a compressed file, whose name has the further ending `.gz`, its
+    text is returned. Raises FormatError with the path if the file cannot be read."""
     try:
-        return Path(path).read_text(encoding="utf-8-sig")
+        return _content(Path(path)).decode("utf-8-sig")
     except FileNotFoundError:
         raise FormatError("there is no such file", hint="Check the path", file=str(path)) from None
     except UnicodeDecodeError:
         raise FormatError("the file is not UTF-8 text", hint="Save it as UTF-8", file=str(path)) from None
     except OSError as error:
         raise FormatError(f"the file cannot be read: {error.strerror or error}", file=str(path)) from None
+
+
+def _content(path: Path) -> bytes:
+    compressed = path.with_name(path.name + SUFFIX) if path.name else path
+    content = (compressed if not path.exists() and compressed.is_file() else path).read_bytes()
+    if not content.startswith(MAGIC):
+        return content
+    try:
+        return expand_text(content)
+    except FormatError as error:
+        raise error.at(file=str(path)) from None
 
 
 def _beside(path: PathName) -> Callable[[str], str]:

@@ -1,12 +1,13 @@
-"""Commands of the group `volcal history`, which list, export and update the runs of this machine and show how their
-results change over time.
+"""Commands of the group `volcal history`, which list, export, update and compact the runs of this machine and show how
+their results change over time.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager, nullcontext
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,19 +22,24 @@ if will_run():
 
     from agent.cli.printing import columns_table, results_console
     from agent.errors import MeasurementFault
+    from agent.execution.journal_compaction import journal_bytes, release_space
+    from agent.execution.run_lock import ownership
     from agent.files import write_all_atomically, write_atomically
     from agent.history.database_url import database_address
     from agent.history.export import as_csv, as_json, run_document
+    from agent.history.retention import Compaction, compact, due_runs
     from agent.history.schema import StoredRun
     from agent.history.store import HistoryStore
     from agent.history.sync import sync, sync_ends
     from agent.settings.load import naming, read_settings
     from agent.settings.schema import Settings
+    from drivers.clock import utc_timestamp
     from drivers.errors import InputError
 
 if TYPE_CHECKING:
     from agent.history.trends import Trend
 
+MB = 1e6
 RUN_COLUMNS = ("run", "kind", "verdict", "min", "VE", "VCE", "held out before", "after")
 _machine = click.option("--machine", metavar="NAME", help="Another machine in the same database.")
 _json = click.option("--json", "as_json_object", is_flag=True, help="Print one JSON object on stdout.")
@@ -137,6 +143,39 @@ def sync_command(config: Path, as_json_object: bool) -> None:
         click.echo(f"{len(written)} runs written to {address.text}")
 
 
+@history_group.command("compact")
+@config_option
+@click.option("--dry-run", is_flag=True, help="Only say what would be saved; nothing is written.")
+@_json
+@reported
+def compact_command(config: Path, dry_run: bool, as_json_object: bool) -> None:
+    """Compact old finished runs; they read as before.
+
+    The settings `history.whole_runs` and `history.whole_days` say which runs are left as they are.
+    """
+    with naming(config):
+        settings = read_settings(config)
+    directory = settings.state_directory
+    with nullcontext() if dry_run else ownership(directory, "a compaction of old runs"):
+        before = journal_bytes(directory)
+        due = due_runs(directory, settings.history, datetime.fromisoformat(utc_timestamp()))
+        found = [compact(directory, row, write=not dry_run) for row in due]
+        if not dry_run and any(found):
+            release_space(directory)
+        after = journal_bytes(directory)
+    done = [one for one in found if one is not None]
+    if as_json_object:
+        runs = [vars(one) for one in done]
+        document = {"dry_run": dry_run, "runs": runs, "journal_before_bytes": before, "journal_after_bytes": after}
+        click.echo(json.dumps({**document, "left": len(found) - len(done)}))
+        return
+    if done:
+        results_console().print(_compaction_table(done))
+    left = f"; {len(found) - len(done)} cannot be compacted" if len(found) > len(done) else ""
+    what = "would be compacted" if dry_run else f"compacted; journal {before / MB:.1f} MB, now {after / MB:.1f} MB"
+    click.echo(f"{len(done)} runs {what}{left}", err=True)
+
+
 @contextmanager
 def _opened(config: Path) -> Iterator[tuple[Settings, HistoryStore]]:
     """Yield the settings and the open history store. The store is first updated from the journal of this machine.
@@ -163,6 +202,17 @@ def _cells(run: StoredRun) -> list[str]:
         f"{run.machine_minutes:.1f}",
         *("-" if value is None else f"{value:.2f}" for value in figures),
     ]
+
+
+def _compaction_table(compactions: Sequence[Compaction]) -> Table:
+    table = columns_table(("run", "kind", "MB", "compacted"), whole=("run",), numbers=("MB", "compacted"))
+    for one in compactions:
+        table.add_row(one.run_id, one.kind, f"{one.before_bytes / MB:.2f}", f"{one.after_bytes / MB:.2f}")
+    before, after = (
+        sum(sizes) / MB for sizes in zip(*((c.before_bytes, c.after_bytes) for c in compactions), strict=True)
+    )
+    table.add_row("all", "", f"{before:.2f}", f"{after:.2f}")
+    return table
 
 
 def _trend_table(trends: tuple[Trend, ...]) -> Table:

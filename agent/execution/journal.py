@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from agent.errors import Busy, JournalFailed
+from agent.errors import Busy, JournalFailed, PlanRefused
 from agent.execution.encoding import encode_result, encode_step, table_digest, to_json
 from agent.execution.journal_reader import WORKING_STEPS, JournalReader, require_same_version
 from agent.execution.journal_schema import FILE_NAME, prepare
@@ -82,9 +82,15 @@ class Journal:
         run.
 
         The resumed run first replays its procedure with the recorded results. If the replay produces an entry that is
-        already in the log, the entry is removed from the log and is not written again.
+        already in the log, the entry is removed from the log and is not written again. Raises PlanRefused if the run
+        has been compacted.
         """
-        recorded = read_replay_log(JournalReader(self._connection), run)
+        reader = JournalReader(self._connection)
+        if run in reader.compacted_runs():
+            raise PlanRefused(
+                f"run {run_id} has been compacted and can no longer be resumed", hint="start a new run", run=run_id
+            )
+        recorded = read_replay_log(reader, run)
         return RunJournal(self._connection, run, run_id, clock, recorded), recorded
 
     def acknowledge(self, run_id: str) -> None:

@@ -4,23 +4,31 @@ Each statement selects the columns of one row type in the order of the fields of
 
 The statements are in a module of their own, apart from the reader, so that a change of the database tables affects only
 this module and `journal_schema.sql`. A list of kinds of rows, such as kinds of events, is passed as one JSON parameter;
-every statement is therefore constant. The reader replaces the text `{aside}` in a statement by a condition that
-excludes rows that are not part of the procedure of a run, or by an empty text.
+every statement is therefore constant. The reader replaces some texts in braces:
+
+- `{aside}` by a condition that excludes rows that are not part of the procedure of a run, or by an empty text,
+- `{at}` by the beginning of the names of the tables that hold the steps, balls and temperatures of a run: empty, or
+  that of the temporary tables into which a compacted run is unpacked,
+- `{compacted}` by the table of compacted runs, or by an empty one if the journal has none.
 """
 
 # ruff: noqa: S608  every statement is put together from constants of this module
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Final
+
 RUN = "SELECT run, run_id, kind, started, ended, state, reason, software FROM runs "
 COUNTS = (
     "SELECT run, run_id, kind, started, ended, state, reason, software, "
-    "(SELECT count(*) FROM balls WHERE balls.run = runs.run), "
-    "(SELECT count(*) FROM steps WHERE steps.run = runs.run AND kind = 'TouchTowards' AND result IS NOT NULL) "
-    "FROM runs "
+    "coalesce(packed.balls, (SELECT count(*) FROM balls WHERE balls.run = runs.run)), coalesce(packed.touches, "
+    "(SELECT count(*) FROM steps WHERE steps.run = runs.run AND kind = 'TouchTowards' AND result IS NOT NULL)) "
+    "FROM runs LEFT JOIN {compacted} AS packed USING (run) "
 )
 BEGUN_RUNS = RUN + (
     "WHERE EXISTS (SELECT 1 FROM steps WHERE steps.run = runs.run) "
+    "OR EXISTS (SELECT 1 FROM {compacted} AS packed WHERE packed.run = runs.run) "
     "OR EXISTS (SELECT 1 FROM origins WHERE origins.run = runs.run AND begun_s IS NOT NULL) "
     "ORDER BY run DESC"
 )
@@ -28,12 +36,13 @@ ADDED_AFTER_END = (  # every run writes its outcome just after its end
     "SELECT run FROM decisions JOIN runs USING (run) WHERE at > ended AND decisions.kind <> 'outcome' "
     "UNION SELECT run FROM tables JOIN runs USING (run) WHERE at > ended"
 )
-HAS_STEP = "SELECT 1 FROM steps WHERE run = :run AND kind IN (SELECT value FROM json_each(:kinds)) LIMIT 1"
+HAS_STEP = "SELECT 1 FROM {at}steps WHERE run = :run AND kind IN (SELECT value FROM json_each(:kinds)) LIMIT 1"
 ORIGIN = "SELECT run, run_id, settings, record, begun_s, begun_at FROM runs JOIN origins USING (run) WHERE run = :run"
-STEP = "SELECT ordinal, key, kind, detail, begun, finished, result, error FROM steps "
+STEP = "SELECT ordinal, key, kind, detail, begun, finished, result, error FROM {at}steps "
+TOUCH = "FROM {at}steps WHERE run = :run AND kind = 'TouchTowards' AND result IS NOT NULL AND NOT aside "
 TEMPERATURE = (
-    "SELECT (finished - (SELECT min(begun) FROM steps WHERE run = :run)) / 60.0, record "
-    "FROM temperatures JOIN steps USING (run, ordinal) WHERE run = :run ORDER BY ordinal"
+    "SELECT (finished - (SELECT min(begun) FROM {at}steps WHERE run = :run)) / 60.0, record "
+    "FROM {at}temperatures JOIN {at}steps USING (run, ordinal) WHERE run = :run ORDER BY ordinal"
 )
 DECISION = "SELECT run, run_id, decisions.rowid, at, decisions.kind, record FROM decisions JOIN runs USING (run) "
 TABLE = (
@@ -49,4 +58,23 @@ EVENT = (
     "SELECT rowid, at, kind, record FROM events WHERE run = :run AND rowid > :after "
     "AND (:kinds IS NULL OR kind IN (SELECT value FROM json_each(:kinds))){aside} ORDER BY rowid LIMIT :limit"
 )
+COMPACTED = "compacted_runs"
+NONE_COMPACTED = "(SELECT NULL AS run, NULL AS balls, NULL AS touches, NULL AS content WHERE 0)"
+CONTENT = "SELECT content FROM {compacted} WHERE run = :run"
+UNPACKED = "temp.unpacked_"
+UNPACKED_TABLES = (
+    "PRAGMA temp_store = MEMORY",  # reading a run needs no space on the disk
+    "CREATE TEMP TABLE IF NOT EXISTS unpacked_runs (run INTEGER)",
+    *(
+        f"CREATE TEMP TABLE IF NOT EXISTS unpacked_{table} AS SELECT * FROM main.{table} WHERE 0"
+        for table in ("steps", "balls", "temperatures")
+    ),
+)
+"""Statements that create the temporary tables into which one compacted run at a time is unpacked."""
+PACKED_COLUMNS: Final[Mapping[str, str]] = {
+    "steps": "ordinal, key, kind, detail, begun, finished, result, error, aside",
+    "balls": "ordinal, key, record",
+    "temperatures": "ordinal, key, record",
+}
+"""Columns, apart from the run, of the tables whose rows a compacted run has in packed form."""
 IMAGE = "SELECT origin_mm, step_mm, resolution_mm, shape, counts FROM tables WHERE "

@@ -4,6 +4,8 @@ A method with the parameter `run` expects the number of a run in the journal (`R
 
 Some rows record steps that are not part of the procedure. For example, steps withdraw the probe and restore the table
 if a run ends early, and steps move the probe back if the run is resumed.
+
+A compacted run reads as it did before: its steps, balls and temperatures are unpacked into temporary tables in memory.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ from agent.execution.journal_rows import (
     TouchRow,
 )
 from agent.execution.journal_schema import FILE_NAME, is_empty, require_version
+from agent.execution.packed_run import PackedRun, expand_stored_text
 from agent.execution.stored_json import damage_reported
 from drivers.errors import ConfigurationError, InputError, VolcalError
 
@@ -58,7 +61,7 @@ def has_journal(directory: Path) -> bool:
     if not path.is_file():
         return False
     try:
-        with _connection(path) as connection:
+        with connected(path) as connection:
             return not is_empty(connection)
     except sqlite3.Error as error:
         return not _is_to_be_rolled_back(error)
@@ -71,7 +74,9 @@ def _is_to_be_rolled_back(error: sqlite3.Error) -> bool:
 
 
 @contextmanager
-def _connection(path: Path, option: str = "mode=ro") -> Iterator[sqlite3.Connection]:
+def connected(path: Path, option: str = "mode=ro") -> Iterator[sqlite3.Connection]:
+    """Yield a connection to the existing journal `path`, which is closed at the end of the `with` block. `option` is
+    the mode of SQLite's URI."""
     uri = f"{path.resolve().as_uri()}?{option}"
     with closing(sqlite3.connect(uri, uri=True, timeout=_TIMEOUT_S)) as connection:
         yield connection
@@ -84,12 +89,12 @@ def require_same_version(directory: Path) -> None:
     if not path.is_file():
         return
     try:
-        with _connection(path) as connection:
+        with connected(path) as connection:
             require_version(connection, path, ConfigurationError)
     except sqlite3.OperationalError as error:
         if not _is_to_be_rolled_back(error):
             raise
-        with _connection(path, "mode=rw") as connection:
+        with connected(path, "mode=rw") as connection:
             require_version(connection, path, ConfigurationError)
 
 
@@ -103,7 +108,7 @@ def open_journal(directory: Path, failure: type[VolcalError] = InputError) -> It
     """
     path = directory / FILE_NAME
     try:
-        with _connection(path) as connection:
+        with connected(path) as connection:
             require_version(connection, path, failure)
             if is_empty(connection):
                 raise failure("the journal has no run yet", hint="the first run fills it", file=str(path))
@@ -152,12 +157,12 @@ class JournalReader:
 
     def latest_begun_runs(self) -> Iterator[RunRow]:
         """Yield the rows of all runs that recorded a step or passed their preflight, the latest first."""
-        for row in self._connection.execute(queries.BEGUN_RUNS):
+        for row in self._connection.execute(queries.BEGUN_RUNS.format(compacted=self._compacted())):
             yield RunRow(*row)
 
     def has_worked(self, run: int) -> bool:
         """Return True if the run has begun to measure or to write tables."""
-        return self._one(queries.HAS_STEP, run=run, kinds=_listed(WORKING_STEPS)) is not None
+        return bool(self._measured(queries.HAS_STEP, run, kinds=_listed(WORKING_STEPS)))
 
     def run_counts(self, limit: int, before_run: int = ANY_RUN) -> tuple[RunCounts, ...]:
         """Return the rows of at most `limit` runs, the latest first, each with the number of its measured balls and the
@@ -165,9 +170,9 @@ class JournalReader:
 
         Only runs with a number below `before_run` are returned.
         """
-        rows = self._all(
-            queries.COUNTS + "WHERE run < :before ORDER BY run DESC LIMIT :limit", before=before_run, limit=limit
-        )
+        query = queries.COUNTS + "WHERE run < :before ORDER BY run DESC LIMIT :limit"
+        with self._one_state():
+            rows = self._all(query.format(compacted=self._compacted()), before=before_run, limit=limit)
         return tuple(RunCounts(RunRow(*run), balls, touches) for *run, balls, touches in rows)
 
     def added_after_end(self) -> frozenset[int]:
@@ -190,20 +195,23 @@ class JournalReader:
         `procedure_only` is True, steps that are not part of the procedure are omitted, for example steps that withdraw
         the probe at the end of a run.
         """
-        query = queries.STEP + "WHERE run = :run AND (:kind IS NULL OR kind = :kind){aside} ORDER BY ordinal"
-        return self._rows(StepRow, _restricted(query, procedure_only), run=run, kind=kind)
+        aside = " AND NOT aside" if procedure_only else ""
+        query = queries.STEP + f"WHERE run = :run AND (:kind IS NULL OR kind = :kind){aside} ORDER BY ordinal"
+        rows = self._measured(query, run, kind=kind)
+        return tuple(StepRow(*row) for row in rows)
 
     def count_steps(self, run: int) -> int:
-        return int(self._value("SELECT count(*) FROM steps WHERE run = :run", run=run))
+        return int(self._measured_value("SELECT count(*) FROM {at}steps WHERE run = :run", run))
 
     def last_step_key(self, run: int) -> str | None:
         """Return the key of the step that began last in the run; None if no step has begun."""
-        return self._first(str, "SELECT key FROM steps WHERE run = :run ORDER BY ordinal DESC LIMIT 1", run=run)
+        rows = self._measured("SELECT key FROM {at}steps WHERE run = :run ORDER BY ordinal DESC LIMIT 1", run)
+        return str(rows[0][0]) if rows else None
 
     def ordinal_of(self, run: int, key: str) -> int:
         """Return the sequence number of the last step `key` of the procedure of the run."""
-        query = "SELECT max(ordinal) FROM steps WHERE run = :run AND key = :key AND aside = 0"
-        return int(self._value(query, run=run, key=key))
+        query = "SELECT max(ordinal) FROM {at}steps WHERE run = :run AND key = :key AND aside = 0"
+        return int(self._measured_value(query, run, key=key))
 
     def time_span_s(self, run: int) -> tuple[float, float] | None:
         """Return a pair of machine times in s: the time at which the run's first step began, and the time at which its
@@ -211,37 +219,37 @@ class JournalReader:
 
         If a step did not end, the time at which it began is used instead.
         """
-        query = "SELECT min(begun), max(coalesce(finished, begun)) FROM steps WHERE run = :run"
-        [(first, last)] = self._all(query, run=run)
+        query = "SELECT min(begun), max(coalesce(finished, begun)) FROM {at}steps WHERE run = :run"
+        [(first, last)] = self._measured(query, run)
         return None if first is None else (first, last)
 
     def last_ordinal(self, run: int) -> int:
         """Return the largest sequence number (ordinal) of the run's steps and balls; 0 if there are none."""
-        steps = "SELECT coalesce(max(ordinal), 0) FROM steps WHERE run = :run"
-        balls = "SELECT coalesce(max(ordinal), 0) FROM balls WHERE run = :run"
-        return max(int(self._value(steps, run=run)), int(self._value(balls, run=run)))
+        steps = "SELECT coalesce(max(ordinal), 0) FROM {at}steps WHERE run = :run"
+        balls = "SELECT coalesce(max(ordinal), 0) FROM {at}balls WHERE run = :run"
+        return max(int(self._measured_value(steps, run)), int(self._measured_value(balls, run)))
 
     def touches(self, run: int) -> tuple[TouchRow, ...]:
         """Return the touches of a run that have a result. Touches that are not part of the procedure of the run are
         omitted.
         """
-        query = "SELECT ordinal, key, at, result FROM touches WHERE run = :run ORDER BY ordinal"
-        return self._rows(TouchRow, query, run=run)
+        query = "SELECT ordinal, key, finished, result " + queries.TOUCH + "ORDER BY ordinal"
+        return tuple(TouchRow(*row) for row in self._measured(query, run))
 
     def count_touches(self, run: int) -> int:
         """Return the number of touches of a run that have a result and are part of the procedure of the run."""
-        return int(self._value("SELECT count(*) FROM touches WHERE run = :run", run=run))
+        return int(self._measured_value("SELECT count(*) " + queries.TOUCH, run))
 
     def balls(self, run: int) -> tuple[BallRow, ...]:
         """Return the measured ball centres of a run in the order of measurement. The run may still be in progress."""
-        query = "SELECT ordinal, key, record FROM balls WHERE run = :run ORDER BY ordinal"
-        return self._rows(BallRow, query, run=run)
+        query = "SELECT ordinal, key, record FROM {at}balls WHERE run = :run ORDER BY ordinal"
+        return tuple(BallRow(*row) for row in self._measured(query, run))
 
     def count_balls(self, run: int) -> int:
-        return int(self._value("SELECT count(*) FROM balls WHERE run = :run", run=run))
+        return int(self._measured_value("SELECT count(*) FROM {at}balls WHERE run = :run", run))
 
     def temperatures(self, run: int) -> tuple[TemperatureRow, ...]:
-        return self._rows(TemperatureRow, queries.TEMPERATURE, run=run)
+        return tuple(TemperatureRow(*row) for row in self._measured(queries.TEMPERATURE, run))
 
     def events(
         self,
@@ -299,11 +307,13 @@ class JournalReader:
 
     def estimates(self, run: int) -> tuple[str, ...]:
         """Return the JSON texts of the run's estimates of the machine's errors, in the order written."""
-        return self._rows(str, "SELECT record FROM estimates WHERE run = :run ORDER BY rowid", run=run)
+        query = "SELECT record FROM estimates WHERE run = :run ORDER BY rowid"
+        return self._rows(expand_stored_text, query, run=run)
 
     def last_estimate(self, run: int) -> str | None:
         """Return the JSON text of the run's last estimate of the machine's errors; None if there is none."""
-        return self._first(str, "SELECT record FROM estimates WHERE run = :run ORDER BY rowid DESC LIMIT 1", run=run)
+        query = "SELECT record FROM estimates WHERE run = :run ORDER BY rowid DESC LIMIT 1"
+        return self._first(expand_stored_text, query, run=run)
 
     def tables(self, run: int, *, procedure_only: bool = False) -> tuple[TableRow, ...]:
         """Return the rows of the compensation tables that a run stored, in the order written."""
@@ -351,6 +361,11 @@ class JournalReader:
         """
         return self._image("run = :run AND crc32 = :crc32 AND counts IS NOT NULL", run=run, crc32=crc32)
 
+    def compacted_runs(self) -> frozenset[int]:
+        """Return the numbers of the runs whose records are stored in packed form."""
+        with self._one_state():
+            return frozenset(self._rows(int, f"SELECT run FROM {self._compacted()}"))  # noqa: S608  our own names
+
     def copy_to(self, path: Path) -> None:
         """Write a consistent copy of the journal to the new file `path`. A run may write to the journal during the
         copy.
@@ -364,6 +379,50 @@ class JournalReader:
         from agent.execution.encoding import decode_table  # noqa: PLC0415  numpy is needed for whole tables only
 
         return decode_table(*row)
+
+    def _measured(self, query: str, run: int, **values: str | None) -> list[tuple[Any, ...]]:
+        """Return the rows of a statement on the steps, balls and temperatures of one run, compacted or not."""
+        with self._one_state():
+            content = self._one(queries.CONTENT.format(compacted=self._compacted()), run=run)
+            if content is not None:
+                self._unpack(run, content[0])
+            at = "" if content is None else queries.UNPACKED
+            return self._all(query.format(at=at), run=run, **values)
+
+    def _measured_value(self, query: str, run: int, **values: str | None) -> Any:
+        return self._measured(query, run, **values)[0][0]
+
+    @contextmanager
+    def _one_state(self) -> Iterator[None]:
+        """Read one state of the journal in the `with` block: a run may be compacted between two statements."""
+        if self._connection.in_transaction:
+            yield
+            return
+        self._connection.execute("BEGIN")
+        try:
+            yield
+        finally:
+            self._connection.execute("COMMIT")
+
+    def _compacted(self) -> str:
+        """Return the table of compacted runs; an empty one if an earlier program wrote the journal."""
+        query = "SELECT 1 FROM main.sqlite_master WHERE name = :name"
+        return queries.NONE_COMPACTED if self._one(query, name=queries.COMPACTED) is None else queries.COMPACTED
+
+    def _unpack(self, run: int, content: bytes) -> None:
+        """Fill the temporary tables with the rows of a compacted run, unless they have them already."""
+        for statement in queries.UNPACKED_TABLES:
+            self._connection.execute(statement)
+        if self._one("SELECT 1 FROM temp.unpacked_runs WHERE run = :run", run=run) is not None:
+            return
+        packed = PackedRun.unpacked(content)
+        for table in ("runs", *queries.PACKED_COLUMNS):
+            self._connection.execute(f"DELETE FROM temp.unpacked_{table}")  # noqa: S608  our own names
+        for table, columns in queries.PACKED_COLUMNS.items():
+            marks = ", ".join("?" for _ in columns.split(", "))
+            statement = f"INSERT INTO temp.unpacked_{table} VALUES ({run}, {marks})"  # noqa: S608  our own names
+            self._connection.executemany(statement, packed.rows[table])
+        self._connection.execute("INSERT INTO temp.unpacked_runs VALUES (?)", (run,))
 
     def _rows(self, row_type: Callable[..., Row], query: str, **values: str | int | None) -> tuple[Row, ...]:
         return tuple(row_type(*row) for row in self._all(query, **values))

@@ -10,16 +10,18 @@ from drivers.errors import ConfigurationError, VolcalError
 
 FILE_NAME = "journal.sqlite"
 
-VERSION = 3
-"""Version of the tables, in `PRAGMA user_version`."""
+VERSION = 4
+"""Version of a journal with compacted runs, in `PRAGMA user_version`. Earlier programs refuse such a journal."""
+WHOLE_VERSION = 3
+"""Version of a journal in which every run is stored as it was written."""
 
 
 def prepare(connection: sqlite3.Connection, path: Path) -> None:
     """Create the tables and indexes that the database does not have yet, in one transaction.
 
-    These are all of them, or the indexes if an earlier program has created the journal without them. After a power cut,
-    the journal has all tables or none. Raises ConfigurationError if it has a different version; such a journal is not
-    written to.
+    These are all of them, or what an earlier program did not have yet: the indexes, and the table of compacted runs.
+    After a power cut, the journal has all tables or none. Raises ConfigurationError if it has a different version; such
+    a journal is not written to.
     """
     require_version(connection, path, ConfigurationError)
     connection.execute("PRAGMA journal_mode=WAL")
@@ -30,7 +32,7 @@ def prepare(connection: sqlite3.Connection, path: Path) -> None:
         for statement in statements:
             connection.execute(statement)
         if is_empty(connection):
-            connection.execute(f"PRAGMA user_version = {VERSION}")
+            connection.execute(f"PRAGMA user_version = {WHOLE_VERSION}")
     except BaseException:
         connection.execute("ROLLBACK")
         raise
@@ -40,9 +42,10 @@ def prepare(connection: sqlite3.Connection, path: Path) -> None:
 def require_version(connection: sqlite3.Connection, path: Path, failure: type[VolcalError]) -> None:
     """Raise an error of the class `failure` if the journal at `path` was written by a different version of volcal."""
     found = _version(connection)
-    if found not in (0, VERSION):  # an empty database has version 0
+    if found not in (0, WHOLE_VERSION, VERSION):  # an empty database has version 0
         raise failure(
-            f"the journal has version {found}, and this version of volcal reads and writes version {VERSION}",
+            f"the journal has version {found}, and this version of volcal reads and writes the versions "
+            f"{WHOLE_VERSION} and {VERSION}",
             hint="move the file to another directory; the next run begins a new journal",
             file=str(path),
         )

@@ -74,6 +74,12 @@ CREATE TABLE IF NOT EXISTS tables (
     counts BLOB,
     aside INTEGER NOT NULL DEFAULT 0
 );
+CREATE TABLE IF NOT EXISTS compacted_runs (
+    run INTEGER PRIMARY KEY REFERENCES runs,
+    balls INTEGER NOT NULL,
+    touches INTEGER NOT NULL,
+    content BLOB NOT NULL
+);
 CREATE INDEX IF NOT EXISTS events_of_run ON events (run);
 CREATE INDEX IF NOT EXISTS decisions_of_run ON decisions (run);
 CREATE INDEX IF NOT EXISTS estimates_of_run ON estimates (run);

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.files import read_text, translated, write_all_atomically
+from agent.files import present_file, read_text, translated, write_all_atomically
 from drivers.errors import InputError
 from twin.arrays import Array
 from twin.compensation.controllers.export_format import ControllerExport, ExportSource, TableEstimate
@@ -125,7 +125,7 @@ def load_table_to_export(path: Path, estimate: Path | None) -> TableToExport:
     text, side_text = read_text(path), read_text(side)
     with translated(InputError, file=str(path)):
         table = parse_table(text, side_text, str(path), str(side))
-    beside = path.parent / "estimate.json"
+    beside = present_file(path.parent / "estimate.json")
     return TableToExport(table, str(path), estimate or (beside if beside.exists() else None))
 
 

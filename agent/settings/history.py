@@ -25,6 +25,9 @@ class HistorySettings(StrictModel):
     - `parameter_tolerances` maps a geometric error (such as EXX) or a coefficient of its Legendre series (such as
       EXX[1]) to its tolerance in µm or µrad.
 
+    - `compact`: finished runs are compacted, except the latest `whole_runs` runs and those that ended less than
+      `whole_days` ago. The others can still be read.
+
     A trend alarm is given if a trend is expected to leave its tolerance within `warn_nights` nights.
     """
 
@@ -36,6 +39,9 @@ class HistorySettings(StrictModel):
     ve_tolerance_um: PositiveFloat | None = None
     held_out_tolerance_um: PositiveFloat | None = None
     parameter_tolerances: dict[Error, PositiveFloat] = Field(default={})
+    compact: bool = True
+    whole_runs: int = Field(default=30, ge=1, le=1_000_000)
+    whole_days: float = Field(default=30.0, ge=0.0, le=36_500.0)
 
     def resolved(self, base: Path) -> Self:
         """Return these settings with relative paths resolved against the directory `base`."""

@@ -125,6 +125,7 @@ SETTINGS_RANGES: Mapping[str, PlausibleRange] = {
     "history.timeout_s": PlausibleRange(0.1, 60.0),
     "history.ve_tolerance_um": PlausibleRange(0.1, 2000.0),
     "history.held_out_tolerance_um": PlausibleRange(0.1, 2000.0),
+    "history.whole_days": PlausibleRange(0.5, 3650.0),
     "gateway.idle_timeout_s": PlausibleRange(1.0, 3600.0),
     "gateway.panel_timeout_s": PlausibleRange(2.0, 600.0),
     "notifications.max_age_hours": PlausibleRange(0.5, 720.0),

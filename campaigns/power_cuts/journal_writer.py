@@ -1,5 +1,5 @@
 """Process whose system calls are recorded: it writes a journal and a file, and acknowledges each record on its standard
-output as soon as the agent would.
+output as soon as the agent would. Then it compacts the run, which must lose nothing.
 
     python -m campaigns.power_cuts.journal_writer DIRECTORY [--synchronous NORMAL]
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import os
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,9 @@ import numpy as np
 from agent.execution.journal import Journal
 from agent.execution.states import RunState
 from agent.execution.steps import ActivateBank, MoveTo, Record, TouchTowards
-from agent.files import write_atomically
+from agent.files import write_all_atomically, write_atomically
+from agent.history.retention import compact, due_runs
+from agent.settings.history import HistorySettings
 from drivers.clock import VirtualClock
 from drivers.roles import TableImage, Touch
 
@@ -24,6 +27,10 @@ BALLS = 12
 ROUNDS = 3
 RESULT_LINES = 2000
 BEGUN, FINISHED, BALL, TABLE, STATED, VERSION = "begun", "finished", "ball", "table", "state", "version"
+ESTIMATE, COMPACTED = "estimate", "compacted"
+LATE = datetime(2100, 1, 1, tzinfo=UTC)
+RUN_ID, ESTIMATE_FILE = "run", "estimate.json"
+ESTIMATE_TEXT = '{"parameters": [' + ", ".join(f"{number / 7.0}" for number in range(1000)) + "]}\n"
 
 
 def main() -> None:
@@ -35,7 +42,7 @@ def main() -> None:
     if given.synchronous:
         journal._connection.execute(f"PRAGMA synchronous={given.synchronous}")
     clock = VirtualClock()
-    run = journal.start_run("run", "calibrate", {"machine": "power-cuts"}, "volcal", clock)
+    run = journal.start_run(RUN_ID, "calibrate", {"machine": "power-cuts"}, "volcal", clock)
     run.origin({"machine": "power-cuts"})
     run.begun()
     for number in range(ROUNDS):
@@ -58,8 +65,17 @@ def main() -> None:
         _acknowledge(BEGUN, f"round-{number}/activate")
         write_atomically(given.directory / RESULT, f"version {number}\n" * RESULT_LINES)
         _acknowledge(VERSION, str(number))
+    run.estimate(ESTIMATE_TEXT)
     run.state(RunState.COMPLETE, final=True)
     _acknowledge(STATED, RunState.COMPLETE.value)
+    write_all_atomically(given.directory / STATE / RUN_ID, {ESTIMATE_FILE: ESTIMATE_TEXT})
+    _acknowledge(ESTIMATE, RUN_ID)
+    later = journal.start_run("later", "verify", {"machine": "power-cuts"}, "volcal", clock)
+    later.begin(TouchTowards("touch", (1.0, 1.0, 2.0), 5.0))  # it could be resumed, so the first run no longer can
+    _acknowledge(BEGUN, "touch")
+    for row in due_runs(given.directory / STATE, HistorySettings(whole_runs=1, whole_days=0.0), LATE):
+        compact(given.directory / STATE, row, write=True)
+        _acknowledge(COMPACTED, row.run_id)
     os._exit(0)  # without the checkpoint of a connection that is closed
 
 

@@ -13,12 +13,18 @@ from pathlib import Path
 from agent.execution.journal import Journal
 from agent.execution.journal_reader import has_journal, open_journal
 from agent.execution.journal_schema import FILE_NAME
+from agent.files import read_text
 from campaigns.power_cuts.journal_writer import (
     BALL,
     BEGUN,
+    COMPACTED,
+    ESTIMATE,
+    ESTIMATE_FILE,
+    ESTIMATE_TEXT,
     FINISHED,
     RESULT,
     RESULT_LINES,
+    RUN_ID,
     STATE,
     STATED,
     TABLE,
@@ -70,7 +76,7 @@ def cut_everywhere(
 
 def lost_of(place: Path, told: Sequence[Acknowledged]) -> list[str]:
     """Return in words what is not in the directory `place`, although it was acknowledged, or what is damaged there."""
-    lost = _lost_of_result(place, told)
+    lost = [*_lost_of_result(place, told), *_lost_of_estimate(place, told)]
     records = [one for one in told if one.kind != VERSION]
     if not has_journal(place / STATE):
         return [*lost, "there is no journal"] if records else lost
@@ -100,7 +106,22 @@ def _journaled(place: Path) -> set[Acknowledged]:
             found |= {Acknowledged(BALL, ball.key) for ball in journal.balls(run.run)}
             found |= {Acknowledged(TABLE, str(table.bank)) for table in journal.tables(run.run)}
             found.add(Acknowledged(STATED, run.state))
+            found |= {
+                Acknowledged(ESTIMATE, run.run_id) for text in journal.estimates(run.run) if text == ESTIMATE_TEXT
+            }
+            if run.run in journal.compacted_runs():
+                found.add(Acknowledged(COMPACTED, run.run_id))
     return found
+
+
+def _lost_of_estimate(place: Path, told: Sequence[Acknowledged]) -> list[str]:
+    if not any(one.kind == ESTIMATE for one in told):
+        return []
+    try:
+        text = read_text(place / STATE / RUN_ID / ESTIMATE_FILE)
+    except VolcalError as error:
+        return [f"the estimate cannot be read: {error}"]
+    return [] if text == ESTIMATE_TEXT else ["the estimate is not complete"]
 
 
 def _lost_of_result(place: Path, told: Sequence[Acknowledged]) -> list[str]:

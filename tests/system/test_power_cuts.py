@@ -11,13 +11,14 @@ from campaign_command import run_campaign
 from campaigns.power_cuts.recorded_calls import works
 
 EVERY = "7"
-LEFT_OUT = [
+LEFT_OUT: list[tuple[str, ...]] = [
     ("--synchronous", "NORMAL"),
     ("--ignore", "journal.sqlite"),
     ("--ignore", "journal.sqlite-wal"),
     ("--ignore", ".result.txt.*"),
     ("--ignore", "state"),
     ("--ignore", "disk"),
+    ("--ignore", ".estimate.json.gz.*", "--every", "7"),
 ]
 """Mode of the journal that loses commits, and names of files and directories."""
 
@@ -37,7 +38,7 @@ def test_nothing_acknowledged_is_lost_by_a_power_cut() -> None:
 
 
 @pytest.mark.parametrize("left_out", LEFT_OUT, ids=" ".join)
-def test_a_synchronisation_that_is_left_out_loses_something(left_out: tuple[str, str]) -> None:
+def test_a_synchronisation_that_is_left_out_loses_something(left_out: tuple[str, ...]) -> None:
     code, result = run_campaign("power_cuts", "--every", "23", *left_out)
     assert code == 1
     assert result["lost"] > 0

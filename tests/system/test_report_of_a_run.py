@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,8 +14,9 @@ import pytest
 from nights import Night, short_document
 from volcal_command import volcal
 
+from agent.execution.journal_compaction import packed_record, store_packed
 from agent.execution.journal_copy import copy_journal
-from agent.execution.run_record import read_record
+from agent.execution.run_record import read_record, run_heads
 from agent.execution.run_state import Announcement
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
@@ -76,6 +78,18 @@ class TestRebuilt:
     def test_the_page_is_that_of_the_runs_end(self, season: Season) -> None:
         for ended in (season.calibrated, season.verified, season.aborted):
             again = render_from_journal(season.state, ended.outcome.run_id, pdf=False)
+            assert again == {"report.html": page(season, ended)}
+
+    def test_the_page_of_a_compacted_run_is_the_same(self, season: Season, tmp_path: Path) -> None:
+        state = tmp_path / "state"
+        shutil.copytree(season.state, state)
+        for row in run_heads(state):
+            record = packed_record(state, row.row.run)
+            assert record is not None
+            store_packed(state, record)
+            assert record.after_bytes < record.before_bytes / 2
+        for ended in (season.calibrated, season.verified, season.aborted):
+            again = render_from_journal(state, ended.outcome.run_id, pdf=False)
             assert again == {"report.html": page(season, ended)}
 
     def test_the_estimate_is_that_of_the_run(self, season: Season) -> None:

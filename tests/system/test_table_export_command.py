@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import shutil
 from collections.abc import Iterator
@@ -105,6 +106,21 @@ def test_a_table_alone_speaks_for_itself(identified: tuple, tmp_path: Path) -> N
     assert said["unknown_um"] is None
     assert said["facts"]["tables"] <= 8
     assert said["ve_full_um"] == 0.0
+
+
+def test_the_folder_of_a_compacted_run(identified: tuple, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    shutil.copytree(identified[0], folder)
+    estimate = folder / "estimate.json"
+    (folder / "estimate.json.gz").write_bytes(gzip.compress(estimate.read_bytes()))
+    estimate.unlink()
+    whole = json.loads(export(identified[0], tmp_path / "whole", "isg-volcomp", "--json").stdout)
+    said = json.loads(export(folder, tmp_path / "out", "isg-volcomp", "--json").stdout)
+    assert said["unknown_um"] == whole["unknown_um"] is not None
+    names = [Path(file).name for file in whole["files"]]
+    assert names
+    for name in names:
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
 
 
 class TestWrongInput:

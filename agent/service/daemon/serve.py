@@ -24,6 +24,7 @@ from agent.service.owner.health import Health
 from agent.service.owner.idle_reader import idle_reading
 from agent.service.owner.owner import Owner
 from agent.service.owner.owner_parts import OwnerParts, current_circumstances
+from agent.service.owner.process_heap import share_one_heap
 from agent.service.owner.unattended import Circumstances
 from agent.service.state.archive import Archive
 from agent.service.state.event_log import EventLog
@@ -50,6 +51,7 @@ def serve(config: Path, circumstances: Callable[[], Circumstances] = current_cir
     determine whether a run may start without consent. Raise Busy if another process owns the machine, and
     ConfigurationError if the settings are invalid.
     """
+    share_one_heap()
     config = config.resolve()
     settings = load_settings(config)
     directory = settings.state_directory

@@ -1,4 +1,5 @@
-"""Thread that reads the machine between runs, so that the displayed state is not older than a period.
+"""Thread that works between runs. It reads the machine, so that the displayed state is not older than a period. After
+each run it compacts old runs and gives the memory of the run back.
 
 It is a thread of its own, because a device that does not answer would keep the main loop from feeding systemd's
 watchdog.
@@ -9,10 +10,15 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import datetime
 
 import structlog
 
+from agent.history.retention import compact, due_runs
 from agent.service.owner.owner import READING_LIMIT_S, Owner
+from agent.service.owner.process_heap import release_free_memory
+from drivers.clock import utc_timestamp
+from drivers.errors import VolcalError
 
 log = structlog.get_logger()
 
@@ -22,14 +28,17 @@ OFF_S = 60.0
 
 @contextmanager
 def idle_reading(owner: Owner) -> Iterator[None]:
-    """Read the machine once per `service.idle_read_period_s`, and at the end of each run, during the `with` block. At
-    its end the owner is closed, and a reading in progress is awaited, so that no device is left in the middle of an
-    exchange.
+    """Read the machine once per `service.idle_read_period_s`, and at the end of each run, during the `with` block. Tidy
+    up at its start and at the end of each run. At its end the owner is closed, and a reading in progress is awaited, so
+    that no device is left in the middle of an exchange.
     """
 
     def work() -> None:
-        going_on = True
+        going_on, tidy_after = True, ""
         while going_on:
+            if not owner.busy and tidy_after != (last := f"after {owner.status().run_id}"):
+                tidy_after = last
+                tidy_up(owner)
             period_s = owner.settings.service.idle_read_period_s
             if period_s > 0.0:
                 try:
@@ -47,3 +56,22 @@ def idle_reading(owner: Owner) -> Iterator[None]:
         thread.join(READING_LIMIT_S)
         if thread.is_alive():
             log.warning("the reading of the idle machine did not end")
+
+
+def tidy_up(owner: Owner) -> None:
+    """Compact the runs that the settings no longer keep whole, until a run is requested, and give the free memory of
+    this process back. What cannot be compacted is logged, and tried again after the next run."""
+    directory = owner.settings.state_directory
+    try:
+        for row in due_runs(directory, owner.settings.history, datetime.fromisoformat(utc_timestamp())):
+            with owner.while_idle("an old run is being compacted") as idle:
+                if not idle:
+                    break
+                done = compact(directory, row, write=True)
+            if done is not None:
+                log.info("run compacted", run=row.run_id, before_bytes=done.before_bytes, after_bytes=done.after_bytes)
+    except VolcalError as error:
+        log.warning("old runs not compacted", reason=str(error))
+    except Exception:  # the display must not end with a defect here
+        log.exception("old runs not compacted")
+    release_free_memory()

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from queue import Queue
@@ -41,7 +41,7 @@ from drivers.errors import PermissionMissing, StoreError, UserError, VolcalError
 log = structlog.get_logger()
 
 READING_LIMIT_S = 30.0
-"""Longest time in s that a request waits for a reading of the idle machine."""
+"""Longest time in s that a request waits for a reading of the idle machine, or for the compaction of an old run."""
 
 MAX_REASON = 200
 """Longest reason of an abort in characters. Anybody may abort, so the reason may be any text."""
@@ -60,7 +60,7 @@ class Owner:
         self._running: RunMailbox | None = None
         self._closing = False
         self._reconciled = False
-        self._reading = False
+        self._idle_work = ""
         self._board.show_idle(replace(self._idle_status(), active_bank=None))  # not known before it is read
         left = parts.journal_state.unacknowledged_end()
         if left is not None:
@@ -254,19 +254,30 @@ class Owner:
     def read_idle(self) -> None:
         """Ask the devices whether they answer and the controller which compensation is active, unless a run is in
         progress. A run that is requested meanwhile waits for the end of the reading."""
-        with self._changed:
-            if self._running is not None or self._reading or self._closing:
+        with self.while_idle("the machine is being read") as idle:
+            if not idle:
                 return
-            self._reading = True
-        try:
             found = self._parts.machine.read(self.settings, self._parts.config.parent, self._board.must_compare)
-        finally:
-            with self._changed:
-                self._reading = False
-                self._changed.notify_all()
         with self._changed:
             if self._running is None:
                 self._board.show_reading(found)
+
+    @contextmanager
+    def while_idle(self, work: str) -> Iterator[bool]:
+        """Do work between two runs in the `with` block, for which `work` is a sentence; a run that is requested
+        meanwhile waits for the end of the block. The block gets False, and must do nothing, while a run is in progress,
+        while other such work is, and once the service is being stopped."""
+        with self._changed:
+            idle = self._running is None and not self._idle_work and not self._closing
+            if idle:
+                self._idle_work = work
+        try:
+            yield idle
+        finally:
+            if idle:
+                with self._changed:
+                    self._idle_work = ""
+                    self._changed.notify_all()
 
     def await_change(self, within_s: float) -> bool:
         """Return at the end of a run, when the service is being stopped, and after `within_s` at the latest. The result
@@ -293,12 +304,12 @@ class Owner:
             return running
 
     def _await_reading(self) -> None:
-        """Wait until no reading of the idle machine is in progress; the caller holds the lock, which is released
-        meanwhile. Raise Busy if the reading has not ended after `READING_LIMIT_S`."""
-        if not self._changed.wait_for(lambda: not self._reading, READING_LIMIT_S):
+        """Wait until no reading of the idle machine, and no other work between runs, is in progress; the caller holds
+        the lock, which is released meanwhile. Raise Busy if it has not ended after `READING_LIMIT_S`."""
+        if not self._changed.wait_for(lambda: not self._idle_work, READING_LIMIT_S):
             raise Busy(
-                f"the machine is being read, and this has not ended after {READING_LIMIT_S:g} s",
-                hint="a device answers slowly or not at all (`volcal doctor` names it); try again",
+                f"{self._idle_work}, and this has not ended after {READING_LIMIT_S:g} s",
+                hint="a device or the disk answers slowly or not at all (`volcal doctor` names it); try again",
             )
 
     def _release(self) -> None:

@@ -4,24 +4,30 @@ from __future__ import annotations
 
 import threading
 from pathlib import Path
+from queue import SimpleQueue
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
+from journal_surgery import operate
+from journaled import journaled
 from pydantic import ValidationError
 from service_house import PATIENCE_S, House, house
+from structlog.testing import capture_logs
 
-from agent.errors import Busy
+from agent.errors import Busy, JournalFailed
 from agent.execution.journal import Journal
+from agent.execution.journal_reader import open_journal
 from agent.execution.rig import Rig
 from agent.execution.states import RunState
+from agent.history.retention import compact
 from agent.runs.reconcile import reconcile
 from agent.runs.reconcile_result import CompensationState, ReconcileAction, Reconciliation
 from agent.runs.run_request import RunRequest
 from agent.service.control import LinkState
-from agent.service.owner import owner
-from agent.service.owner.idle_reader import idle_reading
+from agent.service.owner import idle_reader, owner
+from agent.service.owner.idle_reader import idle_reading, tidy_up
 from agent.service.state.controller_reading import ControllerReading, read_controller
 from agent.service.state.event_log import EventLog
 from agent.service.state.status_board import IdleStatus, StatusBoard
@@ -209,6 +215,93 @@ def test_the_comparison_at_the_start_of_the_service_waits_for_a_reading_in_progr
         comparing.join(PATIENCE_S)
         assert (waited, during) == (True, asked)
         assert len(built.machine.asked) == len(asked) + 1
+
+
+class TestTidyingUp:
+    """Between runs, old runs are compacted; a run is never written meanwhile."""
+
+    @pytest.fixture
+    def state(self, tmp_path: Path) -> Path:
+        for night in range(3):
+            journaled(tmp_path, night)
+            add_touch(tmp_path, night + 1)
+        return tmp_path
+
+    def test_old_runs_are_compacted_when_the_service_starts_and_after_each_run(
+        self, state: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        tidied: SimpleQueue[frozenset[int]] = SimpleQueue()
+
+        def tidy_up(owner: Any) -> None:
+            idle_reader_tidy_up(owner)
+            tidied.put(compacted(state))
+
+        idle_reader_tidy_up = idle_reader.tidy_up
+        monkeypatch.setattr(idle_reader, "tidy_up", tidy_up)
+        with house(state, history={"whole_runs": 2, "whole_days": 0.0}) as built, idle_reading(built.owner):
+            assert tidied.get(timeout=PATIENCE_S) == {1}
+            journaled(state, 3)
+            add_touch(state, 4)
+            started(built)
+            built.puppet.end(RunState.COMPLETE)
+            assert tidied.get(timeout=PATIENCE_S) == {1, 2}
+
+    def test_no_run_is_compacted_while_another_is_in_progress(self, state: Path) -> None:
+        with house(state, history={"whole_runs": 1, "whole_days": 0.0}) as built:
+            started(built)
+            tidy_up(built.owner)
+            assert compacted(state) == set()
+            built.puppet.end(RunState.COMPLETE)
+            assert built.owner.wait(PATIENCE_S)
+            tidy_up(built.owner)
+            assert compacted(state) == {1, 2}
+
+    def test_a_requested_run_waits_for_the_run_being_compacted_and_stops_the_next(
+        self, state: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        begun, go_on = threading.Event(), threading.Event()
+
+        def slowly(*args: Any, **named: Any) -> Any:
+            begun.set()
+            assert go_on.wait(PATIENCE_S)
+            return compact(*args, **named)
+
+        monkeypatch.setattr(idle_reader, "compact", slowly)
+        with house(state, history={"whole_runs": 1, "whole_days": 0.0}) as built:
+            tidying = threading.Thread(target=tidy_up, args=(built.owner,))
+            tidying.start()
+            assert begun.wait(PATIENCE_S)
+            starting = threading.Thread(target=started, args=(built,))
+            starting.start()
+            while not built.owner.busy:  # the run is reserved, and waits
+                built.owner.await_change(0.01)
+            assert built.puppet.started == []
+            go_on.set()
+            tidying.join(PATIENCE_S)
+            starting.join(PATIENCE_S)
+            assert len(built.puppet.started) == 1
+            assert compacted(state) == {1}
+
+    def test_a_journal_that_cannot_be_written_does_not_end_the_thread(
+        self, state: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def full(*_: Any, **__: Any) -> None:
+            raise JournalFailed("the journal cannot be compacted: database or disk is full")
+
+        monkeypatch.setattr(idle_reader, "compact", full)
+        with house(state, history={"whole_runs": 1, "whole_days": 0.0}) as built, capture_logs() as logs:
+            tidy_up(built.owner)
+            assert [line["event"] for line in logs if line["log_level"] == "warning"] == ["old runs not compacted"]
+        assert compacted(state) == set()
+
+
+def add_touch(state: Path, run: int) -> None:
+    operate(state, "INSERT INTO steps VALUES (?, 1, 'ball', 'TouchTowards', '{}', 1.0, 2.0, '{}', NULL, 0)", run)
+
+
+def compacted(state: Path) -> frozenset[int]:
+    with open_journal(state) as reader:
+        return reader.compacted_runs()
 
 
 @pytest.mark.parametrize("period_s", [1e-3, 0.99])

@@ -16,7 +16,7 @@ from agent.cli.main import main
 from agent.errors import JournalFailed
 from agent.execution.journal import Journal
 from agent.execution.journal_reader import has_journal, open_journal
-from agent.execution.journal_schema import FILE_NAME, VERSION
+from agent.execution.journal_schema import FILE_NAME, VERSION, WHOLE_VERSION
 from agent.execution.run_record import read_record
 from agent.execution.states import RunState
 from agent.runs.origin import read_origin
@@ -67,12 +67,14 @@ def test_a_run_refuses_an_accepted_estimate_of_another_format(tmp_path: Path) ->
     assert "calibrate the machine again" in caught.value.hint
 
 
-@pytest.mark.parametrize("version", [1, VERSION - 1, VERSION + 1])
+@pytest.mark.parametrize("version", [1, WHOLE_VERSION - 1, VERSION + 1])
 def test_a_journal_of_another_version_is_neither_read_nor_changed(tmp_path: Path, version: int) -> None:
     Journal(tmp_path).close()
     operate(tmp_path, f"PRAGMA user_version = {version}")
     before = (tmp_path / FILE_NAME).read_bytes()
-    words = f"the journal has version {version}, and this version of volcal reads and writes version {VERSION}"
+    words = (
+        f"has version {version}, and this version of volcal reads and writes the versions {WHOLE_VERSION} and {VERSION}"
+    )
     for failure in (InputError, JournalFailed):
         with pytest.raises(failure, match=words) as caught, open_journal(tmp_path, failure):
             pass

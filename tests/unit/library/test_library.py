@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import doctest
+import gzip
 import re
 import subprocess
 import sys
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 
 import volcal
+from twin.errors import FormatError
 from twin.machine.volumetric import evaluation_grid, rigid_part
 from volcal.reference import PREAMBLE, SECTIONS, page
 
@@ -88,6 +90,13 @@ def test_what_is_written_is_read_back(tmp_path: Path, names: Mapping[str, Any]) 
     assert volcal.read_positions(volcal.write_positions(balls.positions, tmp_path / "set.csv")) == balls.positions
     stored = volcal.read_estimate(volcal.write_estimate(estimate, tmp_path / "estimate.json"))
     np.testing.assert_array_equal(stored.parameters, estimate.parameters)
+    (tmp_path / "estimate.json.gz").write_bytes(gzip.compress((tmp_path / "estimate.json").read_bytes()))
+    (tmp_path / "estimate.json").unlink()
+    for name in ("estimate.json", "estimate.json.gz"):  # of a run that was compacted
+        np.testing.assert_array_equal(volcal.read_estimate(tmp_path / name).parameters, estimate.parameters)
+    (tmp_path / "estimate.json.gz").write_bytes(gzip.compress(b"{}")[:-1])
+    with pytest.raises(FormatError, match=r"damaged .*estimate\.json"):
+        volcal.read_estimate(tmp_path / "estimate.json")
     table = volcal.compensation_table(stored, balls)
     np.testing.assert_array_equal(table.corrections, volcal.compensation_table(estimate, balls).corrections)
     read = volcal.read_table(volcal.write_table(table, tmp_path / "table.csv"))
