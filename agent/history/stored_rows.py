@@ -27,7 +27,8 @@ def checked_rows(row_type: type[T], rows: Iterable[Iterable[Any]]) -> list[T]:
 
     Raise ValidationError, a ValueError, if a value has another type, or if a number is not finite.
     """
-    checked = _adapter(row_type).validate_python([tuple(row) for row in rows])
+    key: Any = row_type
+    checked = _columns(key).validate_python([tuple(row) for row in rows])
     return [row_type(*row) for row in checked]
 
 
@@ -49,8 +50,10 @@ def damage_of_history(**where: str) -> Iterator[None]:
 
 
 @cache
-def _adapter(row_type: type) -> TypeAdapter[list[tuple[Any, ...]]]:
+def _columns(row_type: Any) -> TypeAdapter[list[tuple[Any, ...]]]:
+    """Return what checks the rows of the dataclass `row_type`. Fields with a factory are no columns."""
     hints = get_type_hints(row_type)
-    columns = [hints[one.name] for one in fields(row_type) if one.default_factory is MISSING]
-    types: Any = list[tuple[tuple(columns)]]  # type: ignore[misc]  known when the program runs
-    return TypeAdapter(types, config=ConfigDict(strict=True, allow_inf_nan=False))
+    columns = tuple(hints[one.name] for one in fields(row_type) if one.default_factory is MISSING)
+    # The types of the columns are not known before the program runs.
+    rows_type: Any = list.__class_getitem__(tuple.__class_getitem__(columns))
+    return TypeAdapter(rows_type, config=ConfigDict(strict=True, allow_inf_nan=False))
