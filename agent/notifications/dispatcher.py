@@ -101,21 +101,21 @@ class Courier:
     def _failed(self, problem: str) -> None:
         self._pause_s = FIRST_PAUSE_S if not self._problem else min(self._pause_s * _GROWTH, LONGEST_PAUSE_S)
         self._not_before_s = self._now() + self._pause_s
-        if not self._problem:  # once for each disturbance, however many attempts it takes
-            self._tell(f"{self.name} does not deliver; it is tried again: {problem}")
-        self._problem = problem
+        former, self._problem = self._problem, problem
         self._changed(self.state())
+        if not former:  # once for each disturbance, however many attempts it takes
+            self._tell(f"{self.name} does not deliver; it is tried again: {problem}")
 
     def _delivered(self, notice: Notice, complaint: str) -> None:
         self._outbox.remove(notice, self.name)
         self._not_before_s = float("-inf")
-        if complaint and complaint != self._problem:
-            self._tell(f"{self.name} delivers only in part: {complaint}")
-        elif self._problem and not complaint:
-            self._note(f"{self.name} delivers again")
-            log.info("a channel delivers again", channel=self.name)
-        self._problem = complaint
+        former, self._problem = self._problem, complaint
         self._changed(self.state())
+        if complaint and complaint != former:
+            self._tell(f"{self.name} delivers only in part: {complaint}")
+        elif former and not complaint:
+            self._note(f"notifications: {self.name} delivers again")
+            log.info("a channel delivers again", channel=self.name)
 
     def _tell(self, text: str) -> None:
         self._note(f"notifications: {text}")

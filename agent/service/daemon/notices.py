@@ -37,7 +37,7 @@ _SEVERITY: dict[Look, Severity] = {Look.BAD: "alarm", Look.REFUSED: "warning", L
 _LONGEST = 500
 _LAST = Event(0, "closed", "", {})
 """Event that ends the watch; the event log never publishes it."""
-CLOSE_TIMEOUT_S = 5.0
+CLOSE_TIMEOUT_S = 3.0
 """Longest time in s that the service waits for notices when it stops, and again for their delivery; those that wait
 longer are delivered after the next start."""
 

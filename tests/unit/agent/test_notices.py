@@ -55,6 +55,7 @@ def telling(state: Path, monkeypatch: pytest.MonkeyPatch, built: House, **channe
     chosen = built.owner.settings.model_copy(update={"notifications": settings})
     boxes = {name: Box() for name in settings.channels}
     monkeypatch.setattr("agent.notifications.channels.open_channels", lambda _: boxes)
+    monkeypatch.setattr("agent.service.daemon.notices.CLOSE_TIMEOUT_S", PATIENCE_S)  # everything is told before the end
     archive = Archive(state, built.parts.reports.path, lambda: built.owner.running_id)
     with serve.notifying(chosen, built.parts, built.owner, archive):
         yield boxes
