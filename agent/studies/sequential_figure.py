@@ -91,4 +91,4 @@ def _draw_coverage(axes: Axes, coverage: Mapping[str, Mapping[str, ObservedCover
     axes.set_ylabel("true VCE within its stated limits / %")
     axes.set_title("Coverage at the end of the run")
     axes.grid(visible=False, axis="x")
-    axes.legend(loc="lower left")
+    axes.legend(loc="lower center")
