@@ -166,7 +166,12 @@ class Machine(Protocol):
 
     def hold(self) -> None: ...
 
-    def resume(self) -> None: ...
+    def resume(self) -> None:
+        """Continue a held motion.
+
+        Controllers ignore the command while the axes still brake for the hold, so the caller first waits until `status`
+        shows that they stand. Like `hold`, both are called from inside a sleep of the clock.
+        """
 
     def reset(self) -> None:
         """Clear a fault whose cause has been removed, without moving an axis. Does nothing if there is no fault.

@@ -130,7 +130,7 @@ class TurnstileClock(VirtualClock):
         super().sleep(duration_s)
 
 
-class Link:
+class CuttableLink:
     """Link to the machine. While `cut` is True, every command fails, also one that is being carried out."""
 
     def __init__(self) -> None:
@@ -144,7 +144,7 @@ class Link:
 class LinkedDevice:
     """Simulated machine behind a link. It notes touches that begin after an abort and are carried out all the same."""
 
-    def __init__(self, device: SimulatedMachineDevice, scene: Scene) -> None:
+    def __init__(self, device: SimulatedMachineDevice, scene: RequestScene) -> None:
         self._device, self._scene = device, scene
 
     def __getattr__(self, name: str) -> Any:
@@ -170,7 +170,7 @@ class LinkedDevice:
         return touched
 
 
-class Scene:
+class RequestScene:
     """Machine, link, state directory and the present owner of the machine. `aborted` is True from the abort of a run
     until the next one begins."""
 
@@ -187,7 +187,7 @@ class Scene:
         self.world: World = machine.world
         self.world.controller.write_bank(FORMER_BANK, FORMER_TABLE)
         self.world.controller.activate(FORMER_BANK)
-        self.link, self.turnstile = Link(), Turnstile()
+        self.link, self.turnstile = CuttableLink(), Turnstile()
         self.aborted = False
         self.touches_after_abort = 0
         self._directory, self._owned = directory, owned
@@ -267,10 +267,10 @@ def _without_deflection(machine: Path, directory: Path) -> Path:
 
 
 @contextmanager
-def scene_in(directory: Path) -> Iterator[Scene]:
+def scene_in(directory: Path) -> Iterator[RequestScene]:
     """Yield a new scene in an empty directory. At the end of the `with` block, its run is aborted and ended."""
     with ownership(directory / "state", "the service (process 1)") as owned:
-        scene = Scene(directory, owned)
+        scene = RequestScene(directory, owned)
         try:
             yield scene
         finally:

@@ -15,7 +15,7 @@ from agent.execution.states import RunState
 from agent.runs.run_kinds import KINDS
 from agent.runs.run_request import SOURCES, RunRequest
 from agent.service.control import Status
-from campaigns.requests.scene import PATIENCE_S, Scene, scene_in
+from campaigns.requests.scene import PATIENCE_S, RequestScene, scene_in
 from drivers.errors import LinkError, VolcalError
 
 S = RunState
@@ -65,7 +65,7 @@ class RequestTrial:
     def __init__(self, directory: Path, count: Count) -> None:
         self.count = count
         self._stack = ExitStack()
-        self.scene: Scene = self._stack.enter_context(scene_in(directory))
+        self.scene: RequestScene = self._stack.enter_context(scene_in(directory))
         self._proved = {self.scene.table}
         self._runs = 0
         self._running = self._closed = self._answered = self._was_cut = self._unattended = False
@@ -227,7 +227,7 @@ class RequestTrial:
         return True
 
     def _frozen(self) -> tuple[Any, ...]:
-        """What no refusal may change: state and run shown, place of the axes, active table."""
+        """Return everything that no refusal may change: state and run shown, place of the axes, active table."""
         status = self._status
         return status.state, status.run_id, self.scene.position_mm, self.scene.table
 

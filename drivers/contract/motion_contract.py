@@ -18,6 +18,7 @@ from drivers.errors import CommandRejected, DeviceError, GuardTripped
 from drivers.roles import AxisHoming, Machine, Miss, MotionState, Probe, RotaryMount, Touch
 
 SLOW_MM_PER_S = 50.0
+POLL_S = 0.05
 
 
 class MachineContract:
@@ -63,6 +64,24 @@ class MachineContract:
         assert SLOW_MM_PER_S < stopped[0] - rig.start_mm[0] < 4.0 * SLOW_MM_PER_S
         rig.clock.sleep(5.0)
         assert np.array_equal(rig.machine.position(), stopped)
+        rig.go(rig.start_mm)
+
+    def test_a_hold_that_is_released_as_soon_as_the_axes_stand_continues_the_motion(self, rig: ContractRig) -> None:
+        held = []
+
+        def hold_and_resume() -> None:
+            rig.machine.hold()
+            while rig.machine.status().state is MotionState.MOVING:
+                rig.interrupt.clock.sleep(POLL_S)
+            held.append(rig.machine.position()[0])
+            rig.machine.resume()
+
+        rig.go(rig.start_mm)
+        rig.interrupt.after(2.0, hold_and_resume)
+        target = np.add(rig.start_mm, (6.0 * SLOW_MM_PER_S, 0.0, 0.0))
+        rig.machine.move_to(target, feed_mm_per_s=SLOW_MM_PER_S, guarded=False)
+        assert rig.machine.position() == pytest.approx(target, abs=rig.resolution_mm)
+        assert held[0] < target[0] - SLOW_MM_PER_S
         rig.go(rig.start_mm)
 
     def test_stop_at_rest_does_no_harm(self, rig: ContractRig) -> None:

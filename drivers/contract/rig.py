@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -16,23 +17,29 @@ class StoppedError(Exception):
     """Exception by which the contract tests interrupt a wait of a driver."""
 
 
+def _stop() -> None:
+    raise StoppedError
+
+
 @dataclass
 class Interrupt:
-    """Planned interruption of a wait of a driver: `check` raises `StoppedError` as soon as `clock` reaches `at_s`.
+    """Planned interruption of a wait of a driver: as soon as `clock` reaches `at_s`, `check` calls `action` once, which
+    raises `StoppedError` by default.
 
     Give the driver the clock ``InterruptibleClock(clock, interrupt.check)``; it calls `check` while it sleeps.
     """
 
     clock: Clock
     at_s: float | None = None
+    action: Callable[[], None] = _stop
 
     def check(self) -> None:
         if self.at_s is not None and self.clock.now() >= self.at_s:
             self.at_s = None
-            raise StoppedError
+            self.action()
 
-    def after(self, duration_s: float) -> None:
-        self.at_s = self.clock.now() + duration_s
+    def after(self, duration_s: float, action: Callable[[], None] = _stop) -> None:
+        self.at_s, self.action = self.clock.now() + duration_s, action
 
 
 class ContractRig(ABC):
