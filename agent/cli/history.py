@@ -160,7 +160,7 @@ def compact_command(config: Path, dry_run: bool, as_json_object: bool) -> None:
         before = journal_bytes(directory)
         due = due_runs(directory, settings.history, datetime.fromisoformat(utc_timestamp()))
         found = [compact(directory, row, write=not dry_run) for row in due]
-        if not dry_run and any(found):
+        if not dry_run and before:  # the service may have compacted runs before, and left the free space in the file
             release_space(directory)
         after = journal_bytes(directory)
     done = [one for one in found if one is not None]

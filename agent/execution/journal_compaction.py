@@ -153,12 +153,14 @@ def journal_bytes(directory: Path) -> int:
 
 
 def release_space(directory: Path) -> None:
-    """Give the free space inside the journal file back to the file system. For a time this needs free space of about
-    the size of the journal. Raises JournalFailed, with the journal unchanged, if the disk is full."""
+    """Give the free space inside the journal file back to the file system, if it has any. For a time this needs free
+    space of about the size of the journal. Raises JournalFailed, with the journal unchanged, if the disk is full."""
     with _connected(directory, "mode=rw") as connection:
         prepare(connection, directory / FILE_NAME)
-        connection.execute("VACUUM")
-        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        [(free_pages,)] = connection.execute("PRAGMA freelist_count")
+        if free_pages:
+            connection.execute("VACUUM")
+            connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
 
 
 @contextmanager

@@ -400,6 +400,21 @@ class TestCommand:
         assert said["journal_after_bytes"] == (state / FILE_NAME).stat().st_size < said["journal_before_bytes"]
         assert all_that_is_read(state) == before
 
+    def test_the_file_becomes_smaller_if_the_service_has_compacted_the_runs_before(
+        self, state: Path, tmp_path: Path
+    ) -> None:
+        before = all_that_is_read(state)
+        assert len(compact_due(state)) == 2
+        said = json.loads(self.invoke(state, tmp_path, "--json").stdout)
+        assert said["runs"] == []
+        assert said["journal_after_bytes"] < said["journal_before_bytes"]
+        assert all_that_is_read(state) == before
+        again = json.loads(self.invoke(state, tmp_path, "--json").stdout)
+        assert again["journal_after_bytes"] == again["journal_before_bytes"]
+
+    def test_a_state_directory_without_a_journal_has_nothing_to_compact(self, tmp_path: Path) -> None:
+        assert json.loads(self.invoke(tmp_path / "state", tmp_path, "--json").stdout)["runs"] == []
+
     def test_the_table_states_every_run_and_the_sum(self, state: Path, tmp_path: Path) -> None:
         result = self.invoke(state, tmp_path)
         assert result.exit_code == 0, result.output
