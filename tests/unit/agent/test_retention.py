@@ -346,6 +346,7 @@ import resource, signal, sys
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 from agent.cli.main import main
 import agent.cli.history, agent.history.retention, agent.settings.load, agent.execution.journal_compaction
+sys.dont_write_bytecode = True  # a module imported from now on would leave a truncated file, on which later imports fail
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv.pop(1)),) * 2)
 main(prog_name="volcal")
 """
