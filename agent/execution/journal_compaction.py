@@ -81,18 +81,19 @@ def _ended_before(row: RunRow, time: datetime) -> bool:
 def packed_record(directory: Path, run: int) -> PackedRecord | None:
     """Return the records of the run number `run` in packed form; nothing is written. Return None if they are too long
     to be packed, or damaged. Raises JournalFailed if the journal cannot be read."""
-    with _connected(directory, "mode=ro") as connection:
-        packed = PackedRun(
-            {
-                table: connection.execute(
-                    f"SELECT {columns} FROM {table} WHERE run = ? ORDER BY ordinal",  # noqa: S608  our own names
-                    (run,),
-                ).fetchall()
-                for table, columns in PACKED_COLUMNS.items()
-            }
-        )
-        stored = connection.execute("SELECT rowid, record FROM estimates WHERE run = ?", (run,)).fetchall()
     try:
+        with _connected(directory, "mode=ro") as connection:
+            connection.text_factory = bytes.decode  # a text that is not UTF-8 is then a ValueError
+            packed = PackedRun(
+                {
+                    table: connection.execute(
+                        f"SELECT {columns} FROM {table} WHERE run = ? ORDER BY ordinal",  # noqa: S608  our own names
+                        (run,),
+                    ).fetchall()
+                    for table, columns in PACKED_COLUMNS.items()
+                }
+            )
+            stored = connection.execute("SELECT rowid, record FROM estimates WHERE run = ?", (run,)).fetchall()
         texts = [packed.text, *(str.encode(record) for _, record in stored)]
     except (TypeError, ValueError):
         return None

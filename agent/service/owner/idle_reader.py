@@ -18,7 +18,7 @@ from agent.history.retention import compact, due_runs
 from agent.service.owner.owner import READING_LIMIT_S, Owner
 from agent.service.owner.process_heap import release_free_memory
 from drivers.clock import utc_timestamp
-from drivers.errors import VolcalError
+from drivers.errors import InputError, VolcalError
 
 log = structlog.get_logger()
 
@@ -60,18 +60,25 @@ def idle_reading(owner: Owner) -> Iterator[None]:
 
 def tidy_up(owner: Owner) -> None:
     """Compact the runs that the settings no longer keep whole, until a run is requested, and give the free memory of
-    this process back. What cannot be compacted is logged, and tried again after the next run."""
-    directory = owner.settings.state_directory
+    this process back. What cannot be compacted is logged, and tried again after the next run. A run whose folder cannot
+    be read or written does not keep the later ones from being compacted."""
+    directory, left = owner.settings.state_directory, list[str]()
     try:
         for row in due_runs(directory, owner.settings.history, datetime.fromisoformat(utc_timestamp())):
             with owner.while_idle("an old run is being compacted") as idle:
                 if not idle:
                     break
-                done = compact(directory, row, write=True)
+                try:
+                    done = compact(directory, row, write=True)
+                except InputError as error:
+                    left.append(str(error))
+                    continue
             if done is not None:
                 log.info("run compacted", run=row.run_id, before_bytes=done.before_bytes, after_bytes=done.after_bytes)
     except VolcalError as error:
         log.warning("old runs not compacted", reason=str(error))
     except Exception:  # the display must not end with a defect here
         log.exception("old runs not compacted")
+    if left:
+        log.warning("old runs not compacted", runs=len(left), reason=left[0])
     release_free_memory()

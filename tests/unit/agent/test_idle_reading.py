@@ -19,6 +19,7 @@ from structlog.testing import capture_logs
 from agent.errors import Busy, JournalFailed
 from agent.execution.journal import Journal
 from agent.execution.journal_reader import open_journal
+from agent.execution.journal_rows import RunRow
 from agent.execution.rig import Rig
 from agent.execution.states import RunState
 from agent.history.retention import compact
@@ -33,7 +34,7 @@ from agent.service.state.event_log import EventLog
 from agent.service.state.status_board import IdleStatus, StatusBoard
 from agent.settings.service import ServiceSettings
 from drivers.clock import VirtualClock
-from drivers.errors import LinkLost, VolcalError
+from drivers.errors import InputError, LinkLost, VolcalError
 from drivers.roles import TableImage
 
 LINKS = (LinkState("cnc"), LinkState("mount", "no answer"))
@@ -293,6 +294,21 @@ class TestTidyingUp:
             tidy_up(built.owner)
             assert [line["event"] for line in logs if line["log_level"] == "warning"] == ["old runs not compacted"]
         assert compacted(state) == set()
+
+    def test_a_folder_that_cannot_be_written_does_not_keep_the_later_runs_whole(
+        self, state: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def first_not(directory: Path, row: RunRow, *, write: bool) -> Any:
+            if row.run == 1:
+                raise InputError("results cannot be written: Permission denied")
+            return compact(directory, row, write=write)
+
+        monkeypatch.setattr(idle_reader, "compact", first_not)
+        with house(state, history={"whole_runs": 1, "whole_days": 0.0}) as built, capture_logs() as logs:
+            tidy_up(built.owner)
+        warned = [line for line in logs if line["log_level"] == "warning"]
+        assert [(line["event"], line["runs"]) for line in warned] == [("old runs not compacted", 1)]
+        assert compacted(state) == {2}
 
 
 def add_touch(state: Path, run: int) -> None:

@@ -269,6 +269,14 @@ def test_a_run_with_a_record_that_is_no_text_stays_whole(state: Path) -> None:
     assert (state / run_id(0) / "estimate.json").is_file()
 
 
+@pytest.mark.parametrize("table", ["steps SET detail", "balls SET record", "estimates SET record"])
+def test_a_run_with_a_text_that_is_not_utf_8_stays_whole_and_the_next_is_compacted(state: Path, table: str) -> None:
+    operate(state, f"UPDATE {table} = CAST(x'22ff22' AS TEXT) WHERE run = 1")
+    first, second = compact_due(state)
+    assert first is None
+    assert second is not None
+
+
 def _zeros(_: bytes) -> bytes:
     return compress_text(bytes(MAX_TEXT_BYTES + 1))
 
@@ -346,7 +354,7 @@ import resource, signal, sys
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 from agent.cli.main import main
 import agent.cli.history, agent.history.retention, agent.settings.load, agent.execution.journal_compaction
-sys.dont_write_bytecode = True  # a module imported from now on would leave a truncated file, on which later imports fail
+sys.dont_write_bytecode = True  # a module imported from now on would leave a truncated file for all later imports
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv.pop(1)),) * 2)
 main(prog_name="volcal")
 """
