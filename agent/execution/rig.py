@@ -150,14 +150,17 @@ class Rig:
         """Devices that say what is impaired, by name; found once, as `_restorable`."""
         return {name: one for name, one in self.devices.items() if isinstance(one, ImpairableDevice)}
 
-    def await_standstill(self) -> None:
-        """Wait until the axes of the machine stand still.
+    def await_standstill(self, check: Callable[[], None] | None = None) -> None:
+        """Wait until the axes of the machine stand still. `check` is called between two looks at the machine, and may
+        end the wait by an exception.
 
         While the axes brake, a controller accepts neither a move nor a resumption nor the activation of another
         compensation table.
         """
         deadline = Deadline.after(self.clock, STANDSTILL_WITHIN_S)
         while self.machine.status().state is MotionState.MOVING:
+            if check is not None:
+                check()
             deadline.raise_if_expired("standstill after a stop", hint="check the machine before anything else")
             self.clock.sleep(STANDSTILL_POLL_S)
 

@@ -39,7 +39,7 @@ from agent.runs.run_start import enter_in_journal, last_preflight, read_start_co
 from agent.runs.step_progress import StepProgress
 from agent.settings.schema import ClockSettings
 from drivers.clock import Clock, InterruptibleClock, utc_timestamp, wall_seconds
-from drivers.errors import LinkError, UserError, VolcalError
+from drivers.errors import DeadlineExpired, LinkError, UserError, VolcalError
 from twin.units import S_PER_MIN
 
 
@@ -148,8 +148,12 @@ def open_rig(context: RunContext) -> Iterator[None]:
         tracker.hold()
 
     def resume() -> None:
-        with suppress(LinkError):  # a link that is being restored: no motion is followed, and none has to be resumed
-            rig.await_standstill()  # a controller ignores a resumption while it still brakes for the hold
+        # A controller ignores a resumption while it still brakes for the hold. There is nothing to wait for if the link
+        # is being restored, since no motion is followed then, and if a motion cannot be held, such as homing.
+        check = context.supervisor.check_stop_request  # in the middle of a hold the clock does not call it
+        with suppress(LinkError, DeadlineExpired):
+            rig.await_standstill(check)
+        check()  # after an abort the axes do not start again
         rig.machine.resume()
         tracker.resume()
 

@@ -1,0 +1,95 @@
+"""A held run is resumed only when the axes have braked, and not at all after an abort."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from agent.errors import Aborted
+from agent.execution.rig import STANDSTILL_POLL_S, STANDSTILL_WITHIN_S, Rig
+from agent.execution.supervisor import Supervisor
+from agent.runs.session import open_rig
+from drivers.clock import INTERRUPT_SLICE_S, InterruptibleClock, VirtualClock
+from drivers.errors import LinkLost
+from drivers.roles import MotionState
+
+HOLD_S, RESUME_S = 1.0, 2.0
+
+
+class Machine:
+    """Machine that stands still `braking_s` after a resumption was requested, and takes a note of what it is told."""
+
+    def __init__(self, clock: VirtualClock, braking_s: float) -> None:
+        self._clock, self._stands_s = clock, RESUME_S + braking_s
+        self.told: list[tuple[str, float]] = []
+        self.lost = False
+
+    def status(self) -> Any:
+        if self.lost:
+            raise LinkLost("the link is being restored")
+        return SimpleNamespace(state=MotionState.HELD if self._clock.now() >= self._stands_s else MotionState.MOVING)
+
+    def __getattr__(self, name: str) -> Any:
+        return lambda: self.told.append((name, self._clock.now()))
+
+
+class Held:
+    """Wait of a run that is held at `HOLD_S` and resumed at `RESUME_S`."""
+
+    def __init__(self, braking_s: float) -> None:
+        self.inner = VirtualClock()
+        self.supervisor = Supervisor(self.inner)
+        self.machine: Any = Machine(self.inner, braking_s)
+        clock = InterruptibleClock(self.inner, self.supervisor.check)
+        rig = Rig({}, self.machine, self.machine, {}, self.machine, self.machine, self.machine, clock)
+        tracker = SimpleNamespace(hold=lambda: None, resume=lambda: None, note=None)
+        self._context: Any = SimpleNamespace(rig=rig, tracker=tracker, supervisor=self.supervisor)
+        self._clock = clock
+        self.inner.subscribe(self._ask)
+
+    def _ask(self, now_s: float) -> None:
+        if HOLD_S <= now_s < RESUME_S:
+            self.supervisor.request_hold()
+        elif now_s >= RESUME_S:
+            self.supervisor.request_resume()
+
+    def wait(self) -> None:
+        with open_rig(self._context):
+            self._clock.sleep(5.0)
+
+    @property
+    def told(self) -> list[str]:
+        return [name for name, _ in self.machine.told]
+
+
+def test_the_machine_is_resumed_when_its_axes_have_braked() -> None:
+    held = Held(0.7)
+    held.wait()
+    assert held.told == ["hold", "resume"]
+    assert held.machine.told[1][1] == pytest.approx(RESUME_S + 0.7, abs=2.0 * STANDSTILL_POLL_S)
+
+
+@pytest.mark.parametrize("braking_s", [0.7, 100.0], ids=["braking", "cannot be held"])
+def test_an_abort_while_the_axes_brake_takes_effect_at_once_and_the_machine_is_not_resumed(braking_s: float) -> None:
+    held = Held(braking_s)
+    abort_s = RESUME_S + 0.3
+    held.inner.subscribe(lambda now_s: held.supervisor.request_abort("pressed") if now_s >= abort_s else None)
+    with pytest.raises(Aborted, match="pressed"):
+        held.wait()
+    assert held.told == ["hold"]
+    assert held.inner.now() <= abort_s + STANDSTILL_POLL_S + INTERRUPT_SLICE_S
+
+
+def test_a_motion_that_cannot_be_held_goes_on() -> None:
+    held = Held(10.0 * STANDSTILL_WITHIN_S)
+    held.wait()
+    assert held.told == ["hold", "resume"]
+
+
+def test_a_link_that_is_being_restored_does_not_delay_the_resumption() -> None:
+    held = Held(0.7)
+    held.machine.lost = True
+    held.wait()
+    assert held.machine.told[1][1] == pytest.approx(RESUME_S, abs=2.0 * STANDSTILL_POLL_S)
