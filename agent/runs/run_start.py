@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
@@ -18,6 +19,7 @@ from agent.runs.planned_run import Kind, StartConditions
 from agent.runs.reconcile import has_compensation_record, reconcile
 from agent.runs.step_progress import FormerPreflight
 from drivers.clock import Clock, utc_timestamp
+from drivers.errors import InputError
 
 _LATEST_RUNS = 20
 _FIRST_NOTES = 10
@@ -64,8 +66,8 @@ def read_start_conditions(rig: Rig, journal: RunJournal, state_directory: Path) 
 
 def last_preflight(state_directory: Path, kind: str) -> FormerPreflight | None:
     """Return the preflight of the last run of the kind `kind`; None if none of the latest runs is of this kind or says
-    it."""
-    with open_journal(state_directory) as reader:
+    it, or if what it says is damaged: the progress that is shown must not refuse a run."""
+    with suppress(InputError), open_journal(state_directory) as reader:
         latest = [run for run in islice(reader.latest_begun_runs(), _LATEST_RUNS) if run.kind == kind]
         for run in latest:
             for note in reader.events(run.run, {"note"}, limit=_FIRST_NOTES):

@@ -122,6 +122,17 @@ def test_the_preflight_of_the_last_run_of_the_same_kind_is_the_measure(
     assert last_preflight(tmp_path, kind) == found
 
 
+@pytest.mark.parametrize("said", [{}, {"planning_seconds": "soon"}, {"planning_seconds": None}])
+def test_a_damaged_note_on_a_former_preflight_refuses_no_run(tmp_path: Path, said: dict[str, Any]) -> None:
+    journal = Journal(tmp_path)
+    run = journal.start_run("run-0", "calibrate", {}, "1.2.3", VirtualClock())
+    run.origin({})
+    run.event("note", {"text": "preflight passed", "simulated_steps": 900, **said})
+    run.begun()
+    journal.close()
+    assert last_preflight(tmp_path, "calibrate") is None
+
+
 def test_the_command_and_systemd_state_the_phase(capsys: pytest.CaptureFixture[str]) -> None:
     board = StatusBoard("mill", EventLog(), VirtualClock().now)
     board.begin_run("run", "calibrate", "page", "S3")
