@@ -43,6 +43,9 @@ NMT_STOP = 0x02
 MARK = b"\xfe"
 """Byte that means nothing to GRBL."""
 PATIENCE_S = 600.0
+NO_ANSWER_S = 1.2
+"""Wall time after which equipment that answers nothing is given up. That which answers has much longer, on a busy
+computer too."""
 numbers = itertools.count()
 
 
@@ -88,7 +91,7 @@ class Simulated:
 class ControllerLook(LookRig):
     """Controller with a table in bank 1, which is active. `make` returns a closed device that uses the given clock."""
 
-    def __init__(self, simulated: Simulated, make: Callable[[Clock], Any]) -> None:
+    def __init__(self, simulated: Simulated, make: Callable[..., Any]) -> None:
         self._simulated = simulated
         self._make = make
         self.device = make(simulated.clock)
@@ -180,12 +183,13 @@ class GrblLook(ControllerLook):
             **port.agent_settings,
             "restarts_when_opened": False,
             "declared_temperatures_c": {"artefact": 20.0},
-            "boot_timeout_s": 1.2,
+            "boot_timeout_s": 60.0,
         }
-        super().__init__(
-            simulated,
-            lambda clock: SerialCnc(SerialCncSettings.model_validate(options), DeviceContext("cnc", clock, base)),
-        )
+
+        def make(clock: Clock, **changes: float) -> SerialCnc:
+            return SerialCnc(SerialCncSettings.model_validate(options | changes), DeviceContext("cnc", clock, base))
+
+        super().__init__(simulated, make)
         self.port = port
         self._record = bytearray()
         self._files = base
@@ -200,6 +204,10 @@ class GrblLook(ControllerLook):
                 self._marked.set()
 
         port.controller.received = recorded  # type: ignore[method-assign]
+
+    def expect_no_answer(self) -> None:
+        self.answers = False
+        self.device = self._make(self._simulated.clock, boot_timeout_s=NO_ANSWER_S)
 
     def received(self) -> list[str]:
         self._await_all()
@@ -253,7 +261,7 @@ class CanLook(LookRig):
         self.device = self.make(simulated.clock)
         self.can_move = True
 
-    def make(self, clock: Clock) -> CanopenMount:
+    def make(self, clock: Clock, sdo_timeout_s: float = 5.0) -> CanopenMount:
         limits = {"azimuth": 180.0, "elevation": 90.0}
         axes = {
             axis: {
@@ -269,10 +277,16 @@ class CanLook(LookRig):
         }
         # networks of its own, as another process has
         return CanopenMount(
-            CanopenMountSettings.model_validate({**self._mounts.agent_settings, **axes, "sdo_timeout_s": 2.0}),
+            CanopenMountSettings.model_validate(
+                {**self._mounts.agent_settings, **axes, "sdo_timeout_s": sdo_timeout_s}
+            ),
             DeviceContext("mount", clock, Path()),
             CanNetworks(),
         )
+
+    def expect_no_answer(self) -> None:
+        self.answers = False
+        self.device = self.make(self._simulated.clock, NO_ANSWER_S)
 
     def read(self) -> object:
         return cast(CanopenMount, self.device).orientation()
@@ -370,7 +384,8 @@ def grbl(base: Path, condition: str) -> Iterator[LookRig]:
         look.can_move = condition == "ready"
         spoilt = {"half a line": b"G53 G0 X-1", "alarm of a limit": b"G53 G0 X500\n", "held": b"!"}
         look.type(spoilt.get(condition, b""))
-        look.answers = condition != "alarm of a limit"
+        if condition == "alarm of a limit":
+            look.expect_no_answer()
         with closing(look.device):
             yield look
 
@@ -386,7 +401,6 @@ def canopen(base: Path, condition: str) -> Iterator[LookRig]:
         simulated.shared.subscribe(mounts.advance)
         mounts.start()
         look = CanLook(simulated, mounts, sniffer)
-        opened.callback(look.device.close)
         look.can_move = condition in ("not started", "used")
         if condition != "not started":
             look.use()
@@ -394,5 +408,6 @@ def canopen(base: Path, condition: str) -> Iterator[LookRig]:
             look.fail("over_current")
         if condition == "stopped":
             look.stop_nodes()
-            look.answers = False
+            look.expect_no_answer()
+        opened.callback(look.device.close)
         yield look
