@@ -126,8 +126,8 @@ power-cuts: setup
 	.ci/install strace
 	$(BIN)/python -m campaigns.power_cuts --seed $(SEED)
 
-# Random requests to the owner of the machine at all moments of real runs in virtual time, with a link that fails. Half an
-# hour of CPU time; ends with one line of JSON.
+# Random requests to the owner of the machine at all moments of real runs in virtual time, with a link that fails. An hour
+# or two; ends with one line of JSON.
 STEPS ?= 100000
 requests: setup
 	$(BIN)/python -m campaigns.requests --steps $(STEPS) --seed $(SEED)

@@ -114,7 +114,7 @@ def judged(rows: Sequence[Row]) -> Row:
         chosen = [float(value) for row, value in zip(rows[part], values[part], strict=True) if row["kind"] == kind]
         return round(float(np.median(chosen)), 3) if chosen else 0.0
 
-    growth_mb = growth_per_run(columns["memory_mb"])
+    growth_mb = growth_per_run(columns["memory_mb"], EVERY)
     counts = {name: [int(row[name]) for row in rows] for name in ("handles", "threads")}
     # the pools of threads and handles are filled in the first half
     steady = all(max(values[half:]) <= max(values[:half]) for values in counts.values())

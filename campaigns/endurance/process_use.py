@@ -33,9 +33,15 @@ class Use:
         return cls(memory / MB, handles, threads, times.user + times.system, sum(files) / MB)
 
 
-def growth_per_run(values: Array) -> float:
-    """Return the slope of the last half of `values` (N,) per run, as the median of the slopes of all pairs (Theil
-    1950): a single large value, such as a report that is being drawn, does not matter."""
+def growth_per_run(values: Array, period: int) -> float:
+    """Return the slope of the last half of `values` (N,) per run, as the median of the slopes of pairs (Theil 1950): a
+    single large value, such as a report that is being drawn, does not matter.
+
+    The kinds of runs recur after `period` runs, and with them the values, which a calibration leaves lower than
+    verifications. Runs are therefore compared with those of the same kind; with all, if there are fewer than two
+    periods.
+    """
     last = values[len(values) // 2 :]
-    slopes = [(last[j] - last[i]) / (j - i) for i in range(len(last)) for j in range(i + 1, len(last))]
+    step = period if len(last) >= 2 * period else 1
+    slopes = [(last[j] - last[i]) / (j - i) for i in range(len(last)) for j in range(i + step, len(last), step)]
     return float(sorted(slopes)[len(slopes) // 2]) if slopes else 0.0
