@@ -208,6 +208,30 @@ def test_the_start_dialog_asks_for_what_the_kind_of_run_has(chromium: Browser, h
         assert start("nightly") == {"stations": [2], "slot_minutes": 25, "full_allowed": True}
 
 
+def test_an_unfinished_run_is_given_up_after_a_question(chromium: Browser, house: Service) -> None:
+    with told(chromium, house) as (page, said):
+        asked: list[str] = []
+
+        def record(route: Route) -> None:
+            asked.append(route.request.url.partition("/api/")[2])
+            route.fulfill(json={"taken": True})
+
+        page.route("**/api/give-up-run", record)
+        page.route(f"**/api/runs/{RUN}", lambda route: route.fulfill(json={"balls": 27}))
+        said.update(status(RunState.IDLE, unfinished=True))
+        card = page.locator("#unfinished")
+        expect(card).to_contain_text("It has measured 27 balls.")
+        page.click("#give-up-run")
+        expect(page.locator("dialog")).to_contain_text("can no longer be resumed")
+        page.click("dialog .actions button[type=button]")
+        expect(page.locator("dialog")).to_be_hidden()
+        assert asked == []
+        page.click("#give-up-run")
+        page.click("dialog button[type=submit]")
+        expect(page.locator("#said")).to_have_text("Run given up.")
+        assert asked == ["give-up-run"]
+
+
 def test_every_section_fits_a_phone_and_a_small_panel(chromium: Browser, house: Service) -> None:
     for page in opened(chromium, house):
         page.evaluate(MEASURES)
