@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from agent.files import read_text, translated
-from drivers.errors import ConfigurationError, InputError
+from drivers.errors import ConfigurationError, InputError, VolcalError
 from twin.artefact.artefact import Artefact
 from twin.artefact.position_set import Position
 from twin.formats.artefact_file import parse_artefact
@@ -19,6 +19,9 @@ from twin.formats.ball_file import BallFile, parse_balls
 from twin.formats.machine_file import parse_machine
 from twin.formats.position_set_file import parse_positions
 from twin.machine.machine_description import MachineDescription
+
+MAX_LISTED = 100
+"""Largest number of files that are looked into for a list."""
 
 
 def load_machine(path: Path) -> MachineDescription:
@@ -47,6 +50,19 @@ def load_positions(path: Path) -> tuple[Position, ...]:
     text = read_text(path)
     with translated(InputError, file=str(path)):
         return parse_positions(text, str(path))
+
+
+def position_set_names(folder: Path) -> tuple[str, ...]:
+    """Return the names of the files in `folder` that are position sets, sorted. Other files are left out, without a
+    word on why they cannot be read."""
+    found = []
+    for path in sorted(folder.glob("*.csv"))[:MAX_LISTED]:
+        try:
+            load_positions(path)
+        except VolcalError:
+            continue
+        found.append(path.name)
+    return tuple(found)
 
 
 def load_balls(path: Path, machine: MachineDescription) -> BallFile:

@@ -43,13 +43,15 @@ ALLOWED: dict[RunState, frozenset[str]] = {
 def allowed_in(state: RunState, *, unfinished: bool, question_open: bool, unproved: bool = False) -> frozenset[str]:
     """Return the requests that are allowed in `state`.
 
-    `unfinished` is True if an interrupted run can be resumed. `unproved` is True if a table is active that was never
-    proved; no run starts then, and the former table may be reactivated or the run given up. `question_open` is True if
-    a question that the run asks a person has not been answered yet.
+    `unfinished` is True if an interrupted run can be resumed; it may be given up instead. `unproved` is True if a table
+    is active that was never proved; no run starts then, and the former table may be reactivated or the run given up.
+    `question_open` is True if a question that the run asks a person has not been answered yet.
     """
     allowed = ALLOWED[state]
     if not unfinished:
         allowed -= {RESUME_RUN}
+    elif RESUME_RUN in allowed:
+        allowed |= {GIVE_UP}
     if unproved and START in allowed:
         allowed -= {START}
         allowed |= {RESTORE_FORMER, GIVE_UP, RESET}  # a reset also tries to restore, as panels need

@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import combinations
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -19,14 +18,11 @@ from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant, 
 from agent.studies.study import StudyCase, StudyResult
 from agent.studies.verdict_figure import BrokenAxes, draw_legend, draw_simulated
 from agent.studies.verdict_table import COLUMNS, aligned_um, cells, worst_deviation
-from twin.artefact.position_set import POSITION_SETS
+from twin.artefact.position_set import POSITION_SETS, SET_EXPRESSIONS
 from twin.machine.volumetric import VolumetricRms
 
 NAME = "strategy"
 PUBLISHED_CHOICE = "S3"
-EXPRESSIONS = tuple(
-    "+".join(sets) for size in range(1, len(POSITION_SETS) + 1) for sets in combinations(POSITION_SETS, size)
-)
 
 _NAME_OFFSET = 5  # points between a marker and the corner of its name
 _CROWDED_SHARE = 0.04  # of the longest machine time: the name of a set with a later set this near is at its lower left
@@ -47,11 +43,11 @@ class Strategy:
 def run(case: StudyCase) -> StudyResult:
     """Evaluate all combinations of the published position sets S1, S2 and S3 at the stations of the study case."""
     evaluator, variants = ProcedureEvaluator(case), identification_variants(case.options)
-    sets = [case.positions(expression) for expression in EXPRESSIONS]
+    sets = [case.positions(expression) for expression in SET_EXPRESSIONS]
     trials = [ProcedureVariant.of(case, case.artefact, positions) for positions in sets]
     minutes = [machine_minutes(case.job, positions).total for positions in sets]
     rows = evaluator.evaluate(trials, variants, range(len(trials)))
-    found = [Strategy(*parts) for parts in zip(EXPRESSIONS, trials, minutes, rows, strict=True)]
+    found = [Strategy(*parts) for parts in zip(SET_EXPRESSIONS, trials, minutes, rows, strict=True)]
     fronts = [pareto_front(found, variant) for variant in range(len(variants))]
     return StudyResult(
         name=NAME,

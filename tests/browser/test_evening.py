@@ -88,7 +88,7 @@ def test_a_calibration_by_hand_a_night_and_a_table_taken_back(page: Page, house:
     expect(page.locator("#content .mark.accepted").first).to_be_visible()
     before = bank_shown(page)
     rows = page.locator("#content table").first.locator("tbody tr")
-    row = rows.filter(has_text="Staged").filter(has_not_text=before).first
+    row = rows.filter(has_text="Written").filter(has_not_text=before).first
     wanted = row.locator("td").nth(3).inner_text() if row.count() else None
     row = row if wanted else rows.filter(has_text="no compensation").first
     row.locator("button.restore").click()

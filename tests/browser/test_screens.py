@@ -150,13 +150,86 @@ def test_the_start_dialog_has_its_buttons_in_view_on_every_screen(
             page.set_viewport_size(ViewportSize(width=width, height=height))
             page.click("#start")
             expect(page.locator("dialog button[type=submit]")).to_be_visible()
-            for selector in ("dialog button[type=submit]", "dialog .actions button[type=button]", "#abort"):
-                assert in_view(page, selector) == [], (width, height, selector)
-            assert page.evaluate(
-                "(({ scrollWidth, clientWidth }) => scrollWidth <= clientWidth)(document.querySelector('dialog'))"
-            )
+            for kind in ("calibrate", "verify", "nightly"):
+                page.check(f"input[value={kind}]")
+                for selector in ("dialog button[type=submit]", "dialog .actions button[type=button]", "#abort"):
+                    assert in_view(page, selector) == [], (width, height, kind, selector)
+                assert page.evaluate(
+                    "(({ scrollWidth, clientWidth }) => scrollWidth <= clientWidth)(document.querySelector('dialog'))"
+                )
             page.keyboard.press("Escape")
             expect(page.locator("dialog")).to_be_hidden()
+
+
+def test_the_start_dialog_asks_for_what_the_kind_of_run_has(chromium: Browser, house: Service) -> None:
+    with told(chromium, house) as (page, _):
+        sent: list[dict[str, Any]] = []
+
+        def record(route: Route) -> None:
+            sent.append(route.request.post_data_json)
+            route.fulfill(json={"run_id": RUN}, status=202)
+
+        page.route("**/api/start", record)
+
+        def start(kind: str) -> dict[str, Any]:
+            page.check("input[name=consent]")
+            page.click("dialog button[type=submit]")
+            expect(page.locator("dialog")).to_be_hidden()
+            expect(page.locator("#said")).to_have_text("Run started.")
+            last = sent.pop()
+            assert (last.pop("kind"), last.pop("source"), last.pop("consent")) == (kind, "page", True)
+            return last
+
+        page.click("#start")
+        sets = page.locator("select[name=position_set] option")
+        expect(sets.first).to_have_text("as in the settings: short.csv")
+        assert {"S1", "S1+S3", "short.csv"} <= set(sets.all_inner_texts())
+        assert page.locator("input[name=stations]:checked").evaluate_all("all => all.map(one => one.value)") == ["1"]
+        for hidden in ("select[name=station]", "input[name=slot]", "input[name=full]"):
+            expect(page.locator(hidden)).to_be_hidden()
+        assert start("calibrate") == {}
+
+        page.click("#start")
+        page.select_option("select[name=position_set]", "S1+S3")
+        page.check("input[name=stations][value='3']")
+        assert start("calibrate") == {"position_set": "S1+S3", "stations": [1, 3]}
+
+        page.click("#start")
+        page.select_option("select[name=position_set]", "S1")
+        page.check("input[value=verify]")
+        expect(page.locator("select[name=position_set]")).to_be_hidden()
+        assert start("verify") == {}
+
+        page.click("#start")
+        page.check("input[value=nightly]")
+        page.select_option("select[name=station]", "2")
+        page.fill("input[name=slot]", "25")
+        page.check("input[name=full]")
+        assert start("nightly") == {"stations": [2], "slot_minutes": 25, "full_allowed": True}
+
+
+def test_an_unfinished_run_is_given_up_after_a_question(chromium: Browser, house: Service) -> None:
+    with told(chromium, house) as (page, said):
+        asked: list[str] = []
+
+        def record(route: Route) -> None:
+            asked.append(route.request.url.partition("/api/")[2])
+            route.fulfill(json={"taken": True})
+
+        page.route("**/api/give-up-run", record)
+        page.route(f"**/api/runs/{RUN}", lambda route: route.fulfill(json={"balls": 27}))
+        said.update(status(RunState.IDLE, unfinished=True))
+        card = page.locator("#unfinished")
+        expect(card).to_contain_text("It has measured 27 balls.")
+        page.click("#give-up-run")
+        expect(page.locator("dialog")).to_contain_text("can no longer be resumed")
+        page.click("dialog .actions button[type=button]")
+        expect(page.locator("dialog")).to_be_hidden()
+        assert asked == []
+        page.click("#give-up-run")
+        page.click("dialog button[type=submit]")
+        expect(page.locator("#said")).to_have_text("Run given up.")
+        assert asked == ["give-up-run"]
 
 
 def test_every_section_fits_a_phone_and_a_small_panel(chromium: Browser, house: Service) -> None:

@@ -69,11 +69,11 @@ def test_the_card_says_what_is_active_and_its_buttons_lead_out(
         for button, path in (
             ("#restore-former", "unproved-table/restore"),
             ("#prove-table", "resume-run"),
-            ("#give-up", "unproved-table/give-up"),
+            ("#give-up", "give-up-run"),
         ):
             with page.expect_response(re.compile(path)):
                 page.click(button)
-        assert asked == ["unproved-table/restore", "resume-run", "unproved-table/give-up"]
+        assert asked == ["unproved-table/restore", "resume-run", "give-up-run"]
 
 
 def test_a_run_that_has_ended_offers_no_proof(chromium: Browser, house: Service) -> None:

@@ -149,6 +149,27 @@ def test_a_link_that_breaks_is_a_fault_with_a_hint_that_outlives_the_service(tmp
             assert "resume_run" in again.status()["may"]
 
 
+def test_a_run_that_a_kill_has_interrupted_can_be_given_up(tmp_path: Path) -> None:
+    with simulator(tmp_path) as (_, ready):
+        config = short_settings(ready, tmp_path)
+        with service(config) as running:
+            run_id = running.start()
+            running.until(lambda now: now["balls"] > 2, "balls")
+            running.end(signal.SIGKILL)
+        with service(config) as again:
+            assert again.post("/api/give-up-run").status_code == 422  # not before the reset
+            assert again.post("/api/reset").status_code == 200
+            left = again.status()
+            assert (left["unfinished"], {"resume_run", "give_up"} <= set(left["may"])) == (run_id, True)
+            answer = again.post("/api/give-up-run")
+            assert answer.status_code == 200, answer.text
+            now = again.status()
+            assert (now["unfinished"], {"resume_run", "give_up"} & set(now["may"])) == (None, set())
+            (run,) = again.get("/api/runs?limit=1")["runs"]
+            assert (run["run_id"], run["state"], run["balls"] > 2) == (run_id, "aborted", True)
+            assert again.post("/api/resume-run").status_code == 422
+
+
 def test_a_lost_link_and_a_lost_table_are_told_between_runs_without_a_request(tmp_path: Path) -> None:
     often = f"{AT_ONCE}idle_read_period_s = 1.0\n"
     with simulator(tmp_path) as (machine, ready), service(short_settings(ready, tmp_path, often)) as running:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,10 @@ POSITION_SETS: dict[str, tuple[tuple[float, float], ...]] = {
 """Pairs (azimuth, elevation) in degrees of each set: S1 along the axes, S2 along the space diagonals, S3 along the two
 crossing face diagonals of each of the planes XY, ZX and YZ.
 """
+SET_EXPRESSIONS = tuple(
+    "+".join(names) for size in range(1, len(POSITION_SETS) + 1) for names in combinations(POSITION_SETS, size)
+)
+"""Expressions of all combinations of the sets, such as `S1+S3`."""
 
 
 @dataclass(frozen=True)

@@ -106,5 +106,5 @@ def settled_by_service(settings: Settings, *, give_up: bool) -> Mapping[str, Any
         former = client.get("/api/status")
         if former["unproved"] is None:
             return None
-        client.post(f"/api/unproved-table/{'give-up' if give_up else 'restore'}")
+        client.post("/api/give-up-run" if give_up else "/api/unproved-table/restore")
         return {"former": former, "now": client.get("/api/status")}

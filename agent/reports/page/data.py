@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import combinations, product
+from itertools import product
 from typing import Self, TypeAlias
 
 import numpy as np
@@ -20,7 +20,7 @@ from agent.results.travel_parts import TravelParts
 from agent.thermal.thermometer import ThermometerFacts
 from twin.arrays import Array
 from twin.artefact.observations import Observations
-from twin.artefact.position_set import POSITION_SETS, Position, set_orientations
+from twin.artefact.position_set import SET_EXPRESSIONS, Position, set_orientations
 from twin.formats.estimate_file import StoredEstimate
 from twin.identification import Estimate, Misfit, Scales
 
@@ -309,11 +309,10 @@ def name_of_positions(positions: Sequence[Position]) -> str:
     stations: dict[int, set[tuple[float, float]]] = {}
     for position in positions:
         stations.setdefault(position.station, set()).add((position.azimuth_deg, position.elevation_deg))
-    known = [names for count in range(1, len(POSITION_SETS) + 1) for names in combinations(POSITION_SETS, count)]
-    for names, facing_deg in product(known, SIDES_DEG):
-        wanted = {pair for name in names for pair in set_orientations(name, facing_deg)}
+    for expression, facing_deg in product(SET_EXPRESSIONS, SIDES_DEG):
+        wanted = {pair for name in expression.split("+") for pair in set_orientations(name, facing_deg)}
         if all(_same(found, wanted) for found in stations.values()):
-            return f"{'+'.join(names)}, {len(stations)} station{'s' if len(stations) != 1 else ''}"
+            return f"{expression}, {len(stations)} station{'s' if len(stations) != 1 else ''}"
     return f"{len(positions)} user-defined positions"
 
 

@@ -90,10 +90,11 @@ def restore_former(app_state: AppStateDependency) -> RequestAccepted:
     return RequestAccepted()
 
 
-@with_token.post("/unproved-table/give-up")
+@with_token.post("/give-up-run")
 def give_up(app_state: AppStateDependency) -> RequestAccepted:
-    """Try to reactivate the former table a last time and end the run that wrote the unproved one. If the controller
-    refuses, the problem document says which table is active and what to do at the controller. Nothing moves."""
+    """End the unfinished run without resuming it. If it has left a table active that was never proved, the former table
+    is reactivated first; if the controller refuses, the problem document says which table is active and what to do at
+    the controller. Nothing moves."""
     app_state.control.give_up()
     return RequestAccepted()
 

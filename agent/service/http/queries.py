@@ -8,11 +8,13 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query
 from fastapi.responses import FileResponse
 
+from agent.model_files import position_set_names
 from agent.planning.job_preparation import prepare_job
 from agent.service.http.app_state import AppState, AppStateDependency
 from agent.service.http.models import RunDetails, RunPage, RunSummary, StatusView, TableList, TableView, status_view
 from agent.service.http.problems import DOCUMENTED
 from agent.service.state.live_view import machine_facts
+from twin.artefact.position_set import SET_EXPRESSIONS
 
 router = APIRouter(prefix="/api", tags=["reading"], responses=DOCUMENTED)
 
@@ -84,8 +86,11 @@ def tables(app_state: AppStateDependency, limit: Limit = 100) -> TableList:
 def machine(app_state: AppStateDependency) -> dict[str, Any]:
     """Return the axis limits, the stations, the artefact and the available position sets."""
     settings = app_state.settings()
-    files = sorted(path.name for path in app_state.config.parent.glob("*.csv"))
-    return {**machine_facts(prepare_job(settings, app_state.config.parent)), "position_files": files}
+    base = app_state.config.parent
+    return {
+        **machine_facts(prepare_job(settings, base)),
+        "position_sets": [*SET_EXPRESSIONS, *position_set_names(base)],
+    }
 
 
 @router.get("/plan")

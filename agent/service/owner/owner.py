@@ -135,18 +135,23 @@ class Owner:
         self._settle(allowed_requests.GIVE_UP, give_up)
 
     def _settle(self, what: str, act: Callable[[Settings, Path], Reconciliation]) -> None:
-        """Carry out a way out of an unproved table that needs no run. Raise StoreError if the table is still active."""
+        """Carry out a way out of an unproved table or of an unfinished run that needs no run. Raise StoreError if the
+        table is still active, or if the run that is given up is still unfinished."""
         with self._changed:
             self._await_reading()  # first, since it releases the lock
             self._require_nothing_runs()
             self._require(
-                what, "it is allowed between runs, after a reset, while a table is active that was never proved"
+                what,
+                "it is allowed between runs, after a reset, while a table is active that was never proved; "
+                "a run can also be given up while it is unfinished",
             )
             found = act(self.settings, self._parts.config.parent)
             self._show(found)
             if found.unproved is not None:
                 refused = f": {found.refused}" if found.refused else ""
                 raise StoreError(f"{found.unproved.situation}{refused}", hint=found.instruction)
+            if what == allowed_requests.GIVE_UP and found.unfinished is not None:
+                raise StoreError(f"the run is still unfinished: {found.state.value}", hint=found.instruction)
 
     def hold(self) -> None:
         self._require(allowed_requests.HOLD, "a run can be held only while it is moving")

@@ -16,6 +16,7 @@ from agent.runs.reconcile_result import Reconciliation
 from agent.runs.resume.abandon import abandon
 from agent.runs.resume.resume import resume
 from agent.runs.session import RunResult, carry_out
+from agent.runs.unfinished_run import unfinished_run
 from agent.service.owner.health import Health
 from agent.service.owner.questions import Questions, ServiceOperator
 from agent.service.owner.unattended import Circumstances
@@ -68,9 +69,11 @@ class MachineAccess:
             return unreachable(settings, error.message)
 
     def give_up(self, settings: Settings, base: Path, reason: str) -> Reconciliation:
-        """Do the same as `reconcile`, and end the run that can still be resumed."""
+        """Do the same as `reconcile`, and end the run that can still be resumed. The result has the run as `unfinished`
+        only if it could not be ended."""
         with self._opened_rig(settings, base) as rig:
-            return abandon(rig, settings.state_directory, reason)
+            found = abandon(rig, settings.state_directory, reason)
+        return replace(found, unfinished=unfinished_run(settings.state_directory))
 
     @contextmanager
     def _opened_rig(self, settings: Settings, base: Path) -> Iterator[Rig]:

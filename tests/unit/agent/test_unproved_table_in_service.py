@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from service_house import House, house
 from agent.errors import NotAllowedInState
 from agent.execution.states import RunState
 from agent.runs.reconcile_result import CompensationState, ReconcileAction, Reconciliation
+from agent.runs.unfinished_run import UnfinishedRun
 from agent.runs.unproved_table import UnprovedTable
 from agent.service.gateway.gateway import GatewayFacts, _gateway_values
 from agent.service.gateway.registers import FLAGS
@@ -103,6 +105,41 @@ def test_giving_up_is_carried_out_or_says_what_to_do_at_the_controller(tmp_path:
         assert built.owner.status().unproved == ended
         built.owner.give_up()
         assert built.owner.status().unproved is None
+
+
+UNFINISHED = UnfinishedRun(
+    1, "20261128T020000Z-cdef", "calibrate", "2026-11-28T02:00:00Z", RunState.MEASURING, "", 27, "move", ""
+)
+AS_IT_WAS = Reconciliation(CompensationState.AS_EXPECTED, ReconcileAction.NOTHING, 1)
+
+
+def test_an_unfinished_run_can_be_given_up(tmp_path: Path) -> None:
+    with house(tmp_path) as built:
+        built.machine.found.extend([replace(AS_IT_WAS, unfinished=UNFINISHED), AS_IT_WAS])
+        built.owner.reconcile()
+        before = built.owner.status()
+        assert (before.unfinished, before.may >= {"resume_run", "give_up", "start"}) == (UNFINISHED.run_id, True)
+        built.owner.give_up()
+        after = built.owner.status()
+        assert (after.unfinished, after.may & {"resume_run", "give_up"}) == (None, set())
+
+
+def test_a_run_that_cannot_be_ended_stays_unfinished(tmp_path: Path) -> None:
+    left_alone = Reconciliation(
+        CompensationState.CHANGED, ReconcileAction.LEFT, 1, None, UNFINISHED, "look at the controller"
+    )
+    with house(tmp_path) as built:
+        built.machine.found.extend([replace(AS_IT_WAS, unfinished=UNFINISHED), left_alone])
+        built.owner.reconcile()
+        with pytest.raises(StoreError, match="the run is still unfinished") as refused:
+            built.owner.give_up()
+        assert refused.value.hint == "look at the controller"
+        assert built.owner.status().unfinished == UNFINISHED.run_id
+
+
+def test_there_is_nothing_to_give_up(tmp_path: Path) -> None:
+    with house(tmp_path) as built, pytest.raises(NotAllowedInState, match="while it is unfinished"):
+        built.owner.give_up()
 
 
 def test_a_machine_that_is_away_changes_nothing(tmp_path: Path) -> None:

@@ -52,28 +52,67 @@ export async function askConfirmation(title, text, confirm) {
 
 const KINDS = ["calibrate", "verify", "nightly"];
 
+/* Shows the fields of the chosen kind of run only. A hidden field is disabled, so that it is not sent. */
+function showFieldsOf(form, kind) {
+  for (const field of form.querySelectorAll("[data-for]")) {
+    const used = field.dataset.for.split(" ").includes(kind);
+    field.hidden = !used;
+    for (const input of field.querySelectorAll("input, select")) input.disabled = !used;
+  }
+}
+
+function ofKinds(kinds, field) {
+  field.dataset.for = kinds;
+  return field;
+}
+
+const option = (value, text) => make("option", { value }, text);
+const fromSettings = (value) => option("", value ? say("start.from_settings_value", { value }) : say("start.from_settings"));
+
+/* The stations of a calibration, of which some may be chosen, and the one of a run at a single station. */
+function stationFields({ stations_mm: places, stations, standing_at: standing }) {
+  if (places.length < 2) return [];
+  const numbers = places.map((_, index) => index + 1);
+  const several = make("fieldset", { className: "stations" }, make("legend", {}, say("start.stations")), ...numbers.map((one) =>
+    make("label", { className: "check" }, make("input", { type: "checkbox", name: "stations", value: one, checked: stations.includes(one) }), String(one))));
+  const single = make("label", {}, say("start.station"), make("select", { name: "station" }, fromSettings(standing),
+    ...numbers.map((one) => option(one, String(one)))));
+  return [ofKinds("calibrate", several), ofKinds("verify nightly", single)];
+}
+
+/* Stations of the request; null if they are those of the settings. */
+function chosenStations(given, machine) {
+  if (given.get("station")) return [Number(given.get("station"))];
+  const chosen = given.getAll("stations").map(Number);
+  return chosen.length === 0 || chosen.join() === machine.stations.join() ? null : chosen;
+}
+
 /* Resolves with the body of `POST /api/start`, or null. The person who confirms is at the machine. */
 export async function askStart(machine) {
   const kinds = KINDS.map((kind, i) =>
-    make("label", { className: "check" }, make("input", { type: "radio", name: "kind", value: kind, checked: i === 0 }),
+    make("label", { className: "check" }, make("input", { type: "radio", name: "kind", value: kind, checked: i === 0, onchange: ({ target }) => showFieldsOf(target.form, kind) }),
       make("span", {}, make("b", {}, say(`kind.${kind}`)), " ", say(`kind.${kind}.is`))));
-  const sets = make("input", { name: "position_set", placeholder: machine.position_set ?? "", list: "sets", autocomplete: "off" });
+  const set = make("select", { name: "position_set" }, fromSettings(machine.position_set), ...machine.position_sets.map((name) => option(name, name)));
   const slot = make("input", { name: "slot", type: "number", min: 1, max: 1440, step: 1, placeholder: String(machine.slot_minutes ?? "") });
   const full = make("input", { type: "checkbox", name: "full", checked: machine.full_allowed ?? false });
   const consent = make("input", { type: "checkbox", name: "consent", required: true });
-  const given = await asked(say("start.title"), say("start.confirm"), ...kinds,
-    make("label", {}, say("start.position_set"), sets), make("label", {}, say("start.slot"), slot),
-    make("label", { className: "check" }, full, say("start.full_allowed")),
+  const options = make("div", { className: "options" },
+    ofKinds("calibrate", make("label", {}, say("start.position_set"), set)), ...stationFields(machine),
+    ofKinds("nightly", make("label", {}, say("start.slot"), slot)),
+    ofKinds("nightly", make("label", { className: "check" }, full, say("start.full_allowed"))));
+  const confirmed = asked(say("start.title"), say("start.confirm"), make("div", { className: "kinds" }, ...kinds), options,
     make("label", { className: "check" }, consent, make("b", {}, say("start.consent"))));
+  showFieldsOf(consent.form, KINDS[0]);
+  const given = await confirmed;
   if (given === null) return null;
-  const kind = given.get("kind");
-  const set = given.get("position_set").trim();
+  const kind = given.get("kind"), stations = chosenStations(given, machine);
   return {
     kind,
     source: "page",
     consent: given.has("consent"),
-    ...(set && kind === "calibrate" ? { position_set: set } : {}),
-    ...(given.get("slot") && kind === "nightly" ? { slot_minutes: Number(given.get("slot")) } : {}),
+    ...(stations ? { stations } : {}),
+    ...(given.get("position_set") ? { position_set: given.get("position_set") } : {}),
+    ...(given.get("slot") ? { slot_minutes: Number(given.get("slot")) } : {}),
     ...(kind === "nightly" ? { full_allowed: given.has("full") } : {}),
   };
 }

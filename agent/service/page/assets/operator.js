@@ -1,8 +1,10 @@
 /* Operator view: current action, remaining time, alarms and questions. */
 import { request } from "./controls.js";
+import { askConfirmation } from "./dialogs.js";
 import { byId, make } from "./dom.js";
 import { inEnglish, known, number, onLanguage, say, timeOfDay } from "./language.js";
 import { micrometres } from "./parts.js";
+import { read, Refused } from "./requests.js";
 import { openResiduals } from "./residuals.js";
 import { openResult } from "./result-card.js";
 import { openScene } from "./scene.js";
@@ -35,7 +37,11 @@ export function openOperator() {
   view.replaceChildren(stage, make("div", { className: "side" }, above, cards, facts, links, result, residuals, recent));
   const show = () => seen.status && render(seen.status, { kind, words, progress, whole, own, percent, left, phase, cards, facts, links });
   const showRecent = () => recent.replaceChildren(...seen.events.slice(0, RECENT).map(eventLine));
-  on("status", show);
+  on("status", () => {
+    const run = seen.status?.unfinished ?? null;
+    if (run !== kept.run) readKept(run).then(show);
+    show();
+  });
   on("event", showRecent);
   onLanguage(show);
   onLanguage(showRecent);
@@ -66,7 +72,7 @@ function render(status, parts) {
     ...alarmsBeside(status).map(alarmCard),
     ...(status.unfinished !== null && status.unproved === null && AT_REST.has(status.state) ? [unfinishedCard(status)] : []),
   ];
-  const shown = JSON.stringify([status.question, status.unfinished, status.state, status.unproved, status.may, status.alarms, document.documentElement.lang]);
+  const shown = JSON.stringify([status.question, status.unfinished, kept.balls, status.state, status.unproved, status.may, status.alarms, document.documentElement.lang]);
   if (parts.cards.dataset.shown === shown) return;
   parts.cards.dataset.shown = shown;
   parts.cards.replaceChildren(...cards);
@@ -117,10 +123,31 @@ function placementLines({ azimuth_deg: azimuth, elevation_deg: elevation, balls,
   ];
 }
 
+/* Balls that an unfinished run has in the journal; null until the service has answered. */
+const kept = { run: null, balls: null };
+
+async function readKept(run) {
+  Object.assign(kept, { run, balls: null });
+  if (run === null) return;
+  try {
+    const { balls } = await read(`/api/runs/${run}`);
+    if (kept.run === run) kept.balls = balls;
+  } catch (error) {
+    if (!(error instanceof Refused)) throw error;
+  }
+}
+
 function unfinishedCard({ unfinished: run, may }) {
+  const allowed = may.includes("give_up");
+  const giveUp = async () => {
+    const name = say("unfinished.give_up");
+    if (await askConfirmation(name, say("unfinished.give_up.is"), name)) await request("/api/give-up-run", {}, "done.give_up_run");
+  };
   return make("section", { className: "card waiting", id: "unfinished" },
     make("h3", {}, say("unfinished.title")), make("p", {}, say("unfinished.text", { run })),
-    make("p", { className: "hint" }, say(may.includes("resume_run") ? "unfinished.do" : "unfinished.reset")));
+    kept.balls === null ? null : make("p", {}, say("unfinished.balls", { balls: number(kept.balls, 0) })),
+    make("p", { className: "hint" }, say(allowed ? "unfinished.do" : "unfinished.reset")),
+    allowed ? make("button", { id: "give-up-run", onclick: giveUp }, say("unfinished.give_up")) : null);
 }
 
 /* Ways out of an unproved table in the order in which they are tried; each has its button once it is allowed. */
@@ -144,7 +171,7 @@ function unprovedCard({ unproved, may, alarms }) {
         ? step("unproved.prove", "prove-table", "unproved.prove.button", post("resume-run", "done.resume_run"), can("resume_run"))
         : make("li", {}, say("unproved.not_provable", facts)),
       step(former ? "unproved.give_up" : "unproved.give_up_none", "give-up", "unproved.give_up.button",
-        post("unproved-table/give-up", "done.give_up"), can("give_up"))));
+        post("give-up-run", "done.give_up"), can("give_up"))));
 }
 
 /* The card of an unproved table says what its alarm says, with buttons in place of commands. */
