@@ -402,7 +402,8 @@ class JournalReader:
         try:
             yield
         finally:
-            self._connection.execute("COMMIT")
+            if self._connection.in_transaction:  # SQLite ends it on its own after some errors
+                self._connection.execute("COMMIT")
 
     def _compacted(self) -> str:
         """Return the table of compacted runs; an empty one if an earlier program wrote the journal."""

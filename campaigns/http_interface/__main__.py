@@ -89,7 +89,7 @@ def judged(counts: Sequence[OperationCount], log: str) -> dict[str, object]:
         for status, number in count.statuses.items():
             answers[str(status)] = answers.get(str(status), 0) + number
     return {
-        "passed": not wrong,
+        "passed": not wrong and bool(counts) and all(count.statuses for count in counts),
         "operations": len(counts),
         "requests": sum(answers.values()),
         "answers": dict(sorted(answers.items())),

@@ -72,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         play(np.random.default_rng([given.seed, trial]), steps, count, ends_s)
         trial += 1
     result = {"steps": count.steps.total(), "trials": trial, "seed": given.seed, **summarise(count)}
-    passed = not count.violations
+    passed = not count.violations and count.steps.total() > 0
     print(json.dumps({"passed": passed, **result, "wall_seconds": round(perf_counter() - began, 1)}))
     return 0 if passed else 1
 

@@ -24,6 +24,9 @@ log = structlog.get_logger()
 
 OFF_S = 60.0
 """Interval in s at which the setting is looked at if it switches the reading off."""
+MOST_COMPACTED = 20
+"""Largest number of runs that are compacted at a time. After an update there may be a thousand, and the machine is not
+read meanwhile."""
 
 
 @contextmanager
@@ -64,7 +67,8 @@ def tidy_up(owner: Owner) -> None:
     be read or written does not keep the later ones from being compacted."""
     directory, left = owner.settings.state_directory, list[str]()
     try:
-        for row in due_runs(directory, owner.settings.history, datetime.fromisoformat(utc_timestamp())):
+        due = due_runs(directory, owner.settings.history, datetime.fromisoformat(utc_timestamp()))
+        for row in due[:MOST_COMPACTED]:
             with owner.while_idle("an old run is being compacted") as idle:
                 if not idle:
                     break
