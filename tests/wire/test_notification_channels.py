@@ -32,6 +32,7 @@ from receivers import (
     scripted,
     secret_file,
     shut,
+    silent_address,
     subscribed,
     web_receiver,
 )
@@ -46,6 +47,8 @@ from drivers.errors import ConfigurationError
 
 QUICK_S = 1.0
 """Time that a delivery to a bad receiver may take; a good one gets PATIENCE_S."""
+SHARED_S = 20.0
+"""Time of a delivery to a receiver with a bad and a good address: each gets half of it."""
 
 
 def mqtt(port: int, timeout_s: float = PATIENCE_S, **chosen: Any) -> Channel:
@@ -286,6 +289,25 @@ def test_a_name_that_does_not_exist_cannot_be_reached(name: str, monkeypatch: py
     with pytest.raises(DeliveryFailed, match="cannot be reached: name or service not known") as failed:
         CHANNELS[name](1, **chosen[name]).send(notice())
     assert "receiver.example" in failed.value.where["receiver"]
+
+
+def test_an_address_of_the_receiver_that_does_not_answer_leaves_time_for_the_next(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with silent_address() as silent, web_receiver() as receiver:
+        addresses = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", one) for one in (silent, ("127.0.0.1", receiver.port))]
+        monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: addresses)
+        assert webhook(receiver.port, SHARED_S).send(notice()) == ""
+        assert receiver.posts.qsize() == 1
+
+
+@pytest.mark.parametrize("name", CHANNELS)
+def test_no_address_of_the_receiver_answers(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    with silent_address() as silent:
+        addresses = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", silent)] * 2
+        monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: addresses)
+        with pytest.raises(DeliveryFailed, match="no complete answer within 1 s"):
+            CHANNELS[name](1, QUICK_S).send(notice())
 
 
 @pytest.mark.parametrize(
