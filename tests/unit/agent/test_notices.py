@@ -14,7 +14,7 @@ from journaled import journaled
 from service_house import PATIENCE_S, House, house
 from test_alarm_after_restart import LOST, journal_run
 
-from agent.errors import GateRefused
+from agent.errors import Busy, GateRefused
 from agent.execution.journal import Journal
 from agent.execution.states import RunState
 from agent.notifications.notice import Notice
@@ -24,7 +24,7 @@ from agent.service.daemon import serve
 from agent.service.state.archive import Archive
 from agent.settings.notifications import NotificationSettings
 from drivers.clock import VirtualClock
-from drivers.errors import ConfigurationError, UserError, VolcalError
+from drivers.errors import ConfigurationError, PermissionMissing, UserError, VolcalError
 
 BY_HAND = RunRequest(kind="calibrate", source="page", consent=True)
 BY_TIMER = RunRequest(kind="nightly", source="timer")
@@ -192,6 +192,32 @@ def test_a_request_of_the_timer_that_is_not_carried_out_is_told(tmp_path, monkey
     assert told.subject == "case-study: Nachtlauf wurde nicht gestartet"
     assert "22:00-01:00" in told.text
     assert boxes["mail"].told.empty()
+
+
+def test_a_request_of_the_timer_after_a_fault_that_nobody_has_reset_is_told(tmp_path, monkeypatch) -> None:
+    with house(tmp_path) as built, telling(tmp_path, monkeypatch, built, mail=MAIL) as boxes:
+        run(built, tmp_path, RunState.FAULTED, LOST)
+        assert boxes["mail"].next().occasion == "end"
+        for request in (BY_HAND, BY_TIMER):
+            with pytest.raises(PermissionMissing):
+                built.owner.start(request)
+        told = boxes["mail"].next()
+    assert told.subject == "case-study: Night run was not started"
+    assert "remove the cause, reset" in told.text
+    assert boxes["mail"].told.empty()
+
+
+def test_a_request_of_the_timer_while_a_run_is_in_progress_is_told(tmp_path, monkeypatch) -> None:
+    with house(tmp_path) as built, telling(tmp_path, monkeypatch, built, mail=MAIL) as boxes:
+        run_id = built.owner.start(BY_HAND)
+        with pytest.raises(Busy):
+            built.owner.start(BY_TIMER)
+        told = boxes["mail"].next()
+        assert built.owner.running_id == run_id
+        built.puppet.begun()
+        built.puppet.end(RunState.COMPLETE)
+        assert built.owner.wait(PATIENCE_S)
+    assert (told.occasion, f"run {run_id} is in progress" in told.text) == ("not-started", True)
 
 
 def test_an_alarm_between_runs_is_told_at_once(tmp_path, monkeypatch) -> None:
