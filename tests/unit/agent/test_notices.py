@@ -246,6 +246,20 @@ def test_each_channel_is_told_of_its_occasions_and_mqtt_of_each_state(tmp_path, 
     assert boxes["mail"].told.empty()
 
 
+def test_the_retained_state_has_the_alarms_that_are_open_between_runs(tmp_path, monkeypatch) -> None:
+    lost = Reconciliation(CompensationState.CHANGED, ReconcileAction.NOTHING, 2, instruction="look at the bank")
+    with house(tmp_path) as built:
+        with telling(tmp_path, monkeypatch, built, mqtt=MQTT) as boxes:
+            built.machine.found.append(lost)
+            built.owner.reconcile()
+        opened = [boxes["mqtt"].next() for _ in range(boxes["mqtt"].told.qsize())][-1]
+        with telling(tmp_path, monkeypatch, built, mqtt=MQTT) as boxes:
+            built.owner.reset()
+        closed = [boxes["mqtt"].next() for _ in range(boxes["mqtt"].told.qsize())][-1]
+    assert (opened.occasion, opened.severity, [alarm.code for alarm in opened.alarms]) == ("state", "alarm", [360])
+    assert (closed.occasion, closed.severity, closed.alarms) == ("state", "info", ())
+
+
 def test_an_open_question_is_told(tmp_path, monkeypatch) -> None:
     with house(tmp_path) as built, telling(tmp_path, monkeypatch, built, mail=MAIL) as boxes:
         built.event_log.publish("question", "Carry the artefact to station 2", {"open": True, "number": 1})
