@@ -167,6 +167,20 @@ def test_a_notice_that_is_too_old_is_dropped_with_a_note(tmp_path: Path) -> None
     assert any("dropped" in text and "subject of old" in text for text in desk.notes)
 
 
+def test_the_number_that_waits_is_shown_during_a_pause_and_after_the_last_is_dropped(tmp_path: Path) -> None:
+    desk = Desk(tmp_path, Receiver(away(1)), max_age_hours=24.0)
+    with capture_logs():
+        desk.put(notice("n-1"))
+        desk.work()
+        desk.put(notice("n-2"))
+        desk.work()
+        assert desk.states[-1].waiting == 2
+        desk.today += timedelta(hours=24.1)
+        assert desk.work() is None
+    assert desk.states[-1].waiting == 0
+    assert "cannot be reached" in desk.states[-1].problem
+
+
 def test_a_delivery_in_part_is_told_once(tmp_path: Path) -> None:
     desk = Desk(tmp_path, Receiver(complaint="no mail for bob"))
     for number in range(3):
