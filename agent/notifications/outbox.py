@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Collection, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -108,7 +109,8 @@ class Outbox:
             stored = _StoredOutbox.model_validate_json(read_text(self._path))
         except (InputError, ValidationError) as error:
             log.warning("the outbox cannot be read and is set aside", file=str(self._path), reason=str(error))
-            self._path.replace(self._path.with_suffix(".damaged"))
+            with suppress(OSError):  # a disk that cannot be written is found at the next notice
+                self._path.replace(self._path.with_suffix(".damaged"))
             return [], []
         return list(stored.ids), [WaitingNotice(o.notice.notice(), frozenset(o.channels)) for o in stored.waiting]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import threading
 from collections.abc import Sequence
@@ -231,6 +232,19 @@ def test_a_damaged_outbox_is_set_aside(tmp_path_factory: pytest.TempPathFactory,
     assert [line["log_level"] for line in logs] == ["warning"]
     assert (directory / "outbox.damaged").read_bytes() == content
     assert outbox.put(notice("n-1"), ("mail",))
+
+
+def test_a_damaged_outbox_on_a_disk_that_cannot_be_written_is_ignored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EROFS, "read-only file system")
+
+    (tmp_path / FILE_NAME).write_text("damaged")
+    monkeypatch.setattr(Path, "replace", refuse)
+    with capture_logs() as logs:
+        assert Outbox(tmp_path, ("mail",)).put(notice("n-1"), ("mail",))
+    assert len(logs) == 2
 
 
 @pytest.mark.parametrize("key", ["notice_id", "occasion", "alarms", "run"])
