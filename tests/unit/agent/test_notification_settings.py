@@ -192,6 +192,20 @@ def test_a_test_notice_goes_to_every_receiver(tmp_path) -> None:
     assert box.mails.empty()
 
 
+def test_a_receiver_without_its_secret_does_not_keep_another_from_being_tried(tmp_path) -> None:
+    with web_receiver() as receiver:
+        path = config(
+            tmp_path,
+            f'[notifications.webhook]\nurl = "http://127.0.0.1:{receiver.port}/"\n'
+            '[notifications.mqtt]\nhost = "127.0.0.1"\nusername = "mill-3"',
+        )
+        result = CliRunner().invoke(notify_command, ["--config", str(path), "--to", "webhook"])
+        assert result.exit_code == 0, result.output
+        result = CliRunner().invoke(notify_command, ["--config", str(path)])
+        assert result.exit_code == ConfigurationError.exit_code
+    assert receiver.posts.qsize() == 1
+
+
 @pytest.mark.parametrize("arguments", [[], ["--to", "mqtt"]])
 def test_without_a_receiver_the_command_says_what_to_add(tmp_path, arguments) -> None:
     path = config(tmp_path, "")
