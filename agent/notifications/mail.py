@@ -29,7 +29,7 @@ class _BoundedSmtp(smtplib.SMTP):
     context."""
 
     def __init__(self, connections: BoundedConnections, tls: ssl.SSLContext | None) -> None:
-        super().__init__(timeout=connections.remaining_s, local_hostname="volcal")
+        super().__init__(timeout=connections.remaining_s, local_hostname="localhost")  # no search for a name
         self._connections = connections
         self._tls = tls
 
@@ -42,6 +42,7 @@ class _BoundedSmtp(smtplib.SMTP):
 
     def _get_socket(self, host: str, port: int, timeout: float) -> socket.socket:
         plain = self._connections.connect(host, port)
+        self.local_hostname = _address_literal(plain.getsockname()[0])
         return plain if self._tls is None else self._tls.wrap_socket(plain, server_hostname=host)
 
 
@@ -77,6 +78,12 @@ class MailChannel:
             finally:
                 client.close()
         return _refusals(refused) if refused else ""
+
+
+def _address_literal(address: str) -> str:
+    """Return the address of this computer as the greeting has it (RFC 5321, section 4.1.3): many servers refuse a name
+    without a domain."""
+    return f"[IPv6:{address.partition('%')[0]}]" if ":" in address else f"[{address}]"
 
 
 def mail_of(notice: Notice, settings: MailSettings) -> EmailMessage:

@@ -189,6 +189,24 @@ def test_a_mail_says_it_in_words_to_all_recipients() -> None:
     assert found.get_content().replace("\r\n", "\n") == notice().text
 
 
+def test_the_mail_server_is_greeted_with_an_address() -> None:
+    """Many servers refuse a name without a domain."""
+    greetings: list[str] = []
+
+    class Box(Mailbox):
+        async def handle_EHLO(  # noqa: N802
+            self, server: Any, session: Any, envelope: Any, hostname: str, responses: list[str]
+        ) -> list[str]:
+            greetings.append(hostname)
+            session.host_name = hostname
+            return responses
+
+    box, port = Box(), free_port()
+    with mail_server(box, port):
+        assert mail(port).send(notice()) == ""
+    assert greetings == ["[127.0.0.1]"]
+
+
 @pytest.mark.parametrize("from_start", [False, True])
 def test_the_password_of_the_mail_server_goes_over_tls(tmp_path: Path, from_start: bool) -> None:
     box, port, tls = Mailbox(), free_port(), certificate(tmp_path)
