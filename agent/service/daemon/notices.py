@@ -191,7 +191,8 @@ class NoticeMaker:
     def _shown(self, alarm: Alarm) -> NoticeAlarm:
         meaning = self._messages.get(f"alarm.{alarm.code}", {}).get(self._language, alarm.text)
         remedy = self._messages.get(f"alarm.{alarm.code}.do", {}).get(self._language, alarm.hint)
-        return NoticeAlarm(alarm.code, meaning, remedy, alarm.text, alarm.hint, dict(alarm.where))
+        where = {name: printable(place) for name, place in alarm.where.items()}  # names of files may be no UTF-8
+        return NoticeAlarm(alarm.code, meaning, remedy, printable(alarm.text), printable(alarm.hint), where)
 
 
 _FIGURES = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -178,6 +179,17 @@ def test_a_run_that_is_refused_before_the_journal_has_it_is_told(tmp_path, monke
     assert told.run is not None
     assert (told.run.run_id, told.run.verdict, told.run.report) == (run_id, "refused", None)
     assert [alarm.code for alarm in told.alarms] == [200]
+
+
+def test_the_name_of_a_file_that_is_no_utf_8_can_be_told(tmp_path, monkeypatch) -> None:
+    with house(tmp_path) as built, telling(tmp_path, monkeypatch, built, mail=MAIL) as boxes:
+        built.owner.start(BY_HAND)
+        built.puppet.begun()
+        built.puppet.crash(UserError("Fr\udce4se.toml cannot be read", hint="Fr\udce4se", file="Fr\udce4se.toml"))
+        assert built.owner.wait(PATIENCE_S)
+        told = boxes["mail"].next()
+    assert dict(told.alarms[0].where)["file"] == "Fr\N{REPLACEMENT CHARACTER}se.toml"
+    assert json.dumps(told.as_json(), ensure_ascii=False).encode()
 
 
 def test_a_request_of_the_timer_that_is_not_carried_out_is_told(tmp_path, monkeypatch) -> None:
