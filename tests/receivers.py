@@ -58,8 +58,13 @@ def notice(notice_id: str = "n-1", **changed: Any) -> Notice:
 
 
 def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as unused:
-        return int(unused.getsockname()[1])
+    """Port for a server of ours, which no other process is given before the tests end."""
+    holding = socket.socket()
+    holding.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    holding.bind(("127.0.0.1", 0))
+    port = int(holding.getsockname()[1])
+    holding.detach()  # bound until the process ends
+    return port
 
 
 @contextmanager
