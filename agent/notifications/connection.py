@@ -26,12 +26,16 @@ class DeliveryFailed(VolcalError):
     exit_code = 3
 
 
+class NoticeRefused(DeliveryFailed):
+    """A receiver answered that it does not take this notice; it may take others."""
+
+
 class Channel(Protocol):
     """Way to one receiver."""
 
     def send(self, notice: Notice) -> str:
         """Deliver a notice. Return an empty text, or the complaint of a receiver that took it only in part. Raise
-        DeliveryFailed if it was not taken."""
+        DeliveryFailed if it was not taken, and NoticeRefused if the reason is the notice itself."""
         ...
 
 

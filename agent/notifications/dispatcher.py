@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 
 import structlog
 
-from agent.notifications.connection import Channel, DeliveryFailed
+from agent.notifications.connection import Channel, DeliveryFailed, NoticeRefused
 from agent.notifications.notice import Notice
 from agent.notifications.outbox import Outbox, is_older
 from drivers.clock import RealClock
@@ -81,6 +81,9 @@ class Courier:
             return left_s
         try:
             complaint = self._channel.send(notice)
+        except NoticeRefused as error:
+            self._outbox.postpone(notice)  # an alarm must not wait behind it until it is too old
+            self._failed(str(error))
         except DeliveryFailed as error:
             self._failed(str(error))
         except Exception as defect:  # a defect in a channel must not end the deliveries, and never a run

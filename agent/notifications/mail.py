@@ -11,7 +11,14 @@ from datetime import datetime
 from email.message import EmailMessage
 from email.utils import format_datetime
 
-from agent.notifications.connection import BoundedConnections, DeliveryFailed, delivery, read_secret, tls_context
+from agent.notifications.connection import (
+    BoundedConnections,
+    DeliveryFailed,
+    NoticeRefused,
+    delivery,
+    read_secret,
+    tls_context,
+)
 from agent.notifications.notice import Notice
 from agent.printable import one_line
 from agent.settings.notifications import MailSettings
@@ -21,6 +28,7 @@ PASSWORD_CREDENTIAL = "mail-password"  # noqa: S105  the name of the credential
 _SECTION = "notifications.mail"
 _LONGEST_SUBJECT = 150
 _READY = 220
+_FOR_GOOD = 500
 _URGENT = {"info": "normal", "warning": "normal", "alarm": "urgent"}
 
 
@@ -74,7 +82,8 @@ class MailChannel:
                 raise DeliveryFailed(_refusals(error.recipients), receiver=receiver) from error
             except smtplib.SMTPResponseException as error:
                 text = f"the server answers {error.smtp_code}: {_said(error.smtp_error)}"
-                raise DeliveryFailed(text, receiver=receiver) from error
+                of_content = isinstance(error, smtplib.SMTPDataError) and error.smtp_code >= _FOR_GOOD
+                raise (NoticeRefused if of_content else DeliveryFailed)(text, receiver=receiver) from error
             finally:
                 client.close()
         return _refusals(refused) if refused else ""

@@ -101,6 +101,12 @@ class Outbox:
             self._waiting = [one for one in found if one.channels]
             self._write()
 
+    def postpone(self, notice: Notice) -> None:
+        """Let the notice wait behind the others, since its receiver has refused it."""
+        with self._lock:
+            self._waiting.sort(key=lambda one: one.notice.notice_id == notice.notice_id)
+            self._write()
+
     def _read(self) -> tuple[list[str], list[WaitingNotice]]:
         """Return the stored ids and notices. A file that cannot be read is set aside, not deleted."""
         if not self._path.exists():

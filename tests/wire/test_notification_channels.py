@@ -37,7 +37,7 @@ from receivers import (
     web_receiver,
 )
 
-from agent.notifications.connection import Channel, DeliveryFailed
+from agent.notifications.connection import Channel, DeliveryFailed, NoticeRefused
 from agent.notifications.mail import mail_channel
 from agent.notifications.mqtt import mqtt_channel
 from agent.notifications.notice import StoredNotice
@@ -164,12 +164,25 @@ def test_https_is_checked_against_the_authority_and_the_name(tmp_path: Path) -> 
         assert receiver.posts.empty()
 
 
-@pytest.mark.parametrize("code", [301, 307, 400, 401, 404, 429, 500, 503])
+@pytest.mark.parametrize("code", [301, 307, 400, 401, 404, 413, 429, 500, 503])
 def test_only_a_good_answer_counts_as_taken(code: int) -> None:
     with web_receiver() as receiver:
         receiver.answers.put(code)
-        with pytest.raises(DeliveryFailed, match=f"answers {code}"):
+        with pytest.raises(DeliveryFailed, match=f"answers {code}") as failed:
             webhook(receiver.port).send(notice())
+    assert isinstance(failed.value, NoticeRefused) == (code in {400, 413})
+
+
+@pytest.mark.parametrize(("answer", "of_the_notice"), [("554 5.7.1 spam", True), ("451 4.3.0 later", False)])
+def test_a_mail_server_may_refuse_the_content(answer: str, of_the_notice: bool) -> None:
+    class Picky(Mailbox):
+        async def handle_DATA(self, server: Any, session: Any, envelope: Any) -> str:  # noqa: N802
+            return answer
+
+    port = free_port()
+    with mail_server(Picky(), port), pytest.raises(DeliveryFailed, match=answer[4:]) as failed:
+        mail(port).send(notice())
+    assert isinstance(failed.value, NoticeRefused) == of_the_notice
 
 
 # ---------------------------------------------------------------------- mail

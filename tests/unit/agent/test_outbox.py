@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
-from agent.notifications.connection import DeliveryFailed
+from agent.notifications.connection import DeliveryFailed, NoticeRefused
 from agent.notifications.dispatcher import FIRST_PAUSE_S, LONGEST_PAUSE_S, Courier, Dispatcher, ReceiverState
 from agent.notifications.notice import Notice, Occasion
 from agent.notifications.outbox import FILE_NAME, Outbox
@@ -139,6 +139,25 @@ def test_a_failure_is_told_once_and_its_end_once(tmp_path: Path) -> None:
     assert [line["log_level"] for line in logs] == ["warning", "info"]
     assert len(desk.notes) == 2
     assert desk.states[-1].problem == ""
+
+
+def test_a_notice_that_its_receiver_refuses_does_not_hold_up_the_others(tmp_path: Path) -> None:
+    class Picky(Receiver):
+        def send(self, told: Notice) -> str:
+            if told.notice_id == "big":
+                return super().send(told)
+            self.delivered.put(told.notice_id)
+            return ""
+
+    receiver = Picky([NoticeRefused("the receiver answers 413", receiver="webhook") for _ in range(4)])
+    desk = Desk(tmp_path, receiver)
+    for one in ("big", "n-1", "n-2"):
+        desk.put(notice(one))
+    with capture_logs():
+        while (pause_s := desk.work()) is not None:
+            desk.now_s += pause_s
+    assert receiver.ids() == ["n-1", "n-2", "big"]
+    assert receiver.attempts == 5
 
 
 def test_a_defect_in_a_channel_is_a_failure_like_any_other(tmp_path: Path) -> None:
