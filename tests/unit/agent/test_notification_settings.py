@@ -102,6 +102,13 @@ def test_a_password_in_a_url_is_refused_and_not_repeated(tmp_path) -> None:
     assert "pa55word" not in str(refused.value)
 
 
+@pytest.mark.parametrize("url", ["volcal:pa55word@hook/", "https:/volcal:pa55word@hook/", "https://volcal:pa55/word@h"])
+def test_a_password_in_a_malformed_url_is_not_repeated(tmp_path, url) -> None:
+    with pytest.raises(FormatError) as refused:
+        read(tmp_path, webhook={"url": url})
+    assert "pa55" not in str(refused.value)
+
+
 @pytest.mark.parametrize("address", BAD_ADDRESSES)
 @pytest.mark.parametrize("key", ["sender", "to"])
 def test_a_mail_address_is_plain(tmp_path, key, address) -> None:
