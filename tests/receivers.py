@@ -9,7 +9,7 @@ import ssl
 import subprocess
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from email.message import EmailMessage, Message
@@ -58,8 +58,13 @@ def notice(notice_id: str = "n-1", **changed: Any) -> Notice:
 
 
 def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as unused:
-        return int(unused.getsockname()[1])
+    """Port for a server of ours, which no other process is given before the tests end."""
+    holding = socket.socket()
+    holding.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    holding.bind(("127.0.0.1", 0))
+    port = int(holding.getsockname()[1])
+    holding.detach()  # bound until the process ends
+    return port
 
 
 @contextmanager
@@ -69,6 +74,18 @@ def port_of_nobody() -> Iterator[int]:
         holding.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         holding.bind(("127.0.0.1", 0))
         yield int(holding.getsockname()[1])
+
+
+@contextmanager
+def silent_address() -> Iterator[tuple[str, int]]:
+    """Address that answers no attempt to connect, as behind a firewall: its queue of connections is full."""
+    with socket.create_server(("127.0.0.1", 0), backlog=0) as listening, ExitStack() as waiting:
+        for _ in range(3):
+            one = waiting.enter_context(socket.socket())
+            one.setblocking(False)
+            with suppress(BlockingIOError):
+                one.connect(listening.getsockname())
+        yield listening.getsockname()
 
 
 @dataclass(frozen=True)

@@ -32,20 +32,22 @@ def notify_command(config: Path, to: tuple[str, ...], as_json: bool) -> None:
     The exit status is 3 if a receiver does not take it.
     """
     settings = read_settings(config)
+    told = settings.notifications
     with naming(config):
-        channels = open_channels(settings.notifications)
-        missing = [name for name in to if name not in channels]
-        if missing or not channels:
+        missing = [name for name in to if name not in told.channels]
+        if missing or not told.channels:
             raise ConfigurationError(
                 f"the settings name no receiver {missing[0] if missing else ''}".strip(),
                 key=".".join(("notifications", *missing[:1])),
                 hint="add one of the sections [notifications.mqtt], [notifications.webhook], [notifications.mail]",
             )
-        notice = trial_notice(load_machine(settings.machine).name, settings.notifications.language)
+        left_out = told.channels.keys() - set(to or told.channels)  # their files may be out of reach here
+        channels = open_channels(told.model_copy(update=dict.fromkeys(left_out)))
+        notice = trial_notice(load_machine(settings.machine).name, told.language)
     results: dict[str, str] = {}
-    for name in to or channels:
+    for name, channel in channels.items():
         try:
-            results[name] = channels[name].send(notice)
+            results[name] = channel.send(notice)
         except DeliveryFailed as error:
             results[name] = str(error)
     if as_json:

@@ -6,10 +6,10 @@ import os
 import socket
 import ssl
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from agent.files import read_text
 from agent.notifications.notice import Notice
@@ -26,12 +26,16 @@ class DeliveryFailed(VolcalError):
     exit_code = 3
 
 
+class NoticeRefused(DeliveryFailed):
+    """A receiver answered that it does not take this notice; it may take others."""
+
+
 class Channel(Protocol):
     """Way to one receiver."""
 
     def send(self, notice: Notice) -> str:
         """Deliver a notice. Return an empty text, or the complaint of a receiver that took it only in part. Raise
-        DeliveryFailed if it was not taken."""
+        DeliveryFailed if it was not taken, and NoticeRefused if the reason is the notice itself."""
         ...
 
 
@@ -45,6 +49,7 @@ class BoundedConnections:
     def __init__(self, timeout_s: float) -> None:
         self._deadline = Deadline.after(RealClock(), timeout_s)
         self._guards: list[socket.socket] = []
+        self._shut = False
         self._lock = threading.Lock()
 
     @property
@@ -56,14 +61,36 @@ class BoundedConnections:
         return max(self._deadline.remaining_s, _SHORTEST_S)
 
     def connect(self, host: str, port: int) -> socket.socket:
-        """Return a connected TCP socket. Raise OSError if the receiver cannot be reached."""
-        connected = socket.create_connection((host, port), timeout=self.remaining_s)
+        """Return a connected TCP socket. Raise OSError if the receiver cannot be reached.
+
+        The addresses of a name share the time that is left: one that does not answer must not use up that of the next.
+        """
+        connected = self._first_connected(socket.getaddrinfo(host, port, type=socket.SOCK_STREAM))
         with self._lock:
+            if self._shut:
+                connected.close()
+                raise TimeoutError
+            connected.settimeout(self.remaining_s)
             self._guards.append(connected.dup())  # TLS takes over the descriptor of the socket itself
         return connected
 
+    def _first_connected(self, addresses: Sequence[tuple[int, int, int, str, Any]]) -> socket.socket:
+        failure = OSError("the name of the receiver has no address")
+        for tried, (family, kind, protocol, _, address) in enumerate(addresses):
+            candidate = socket.socket(family, kind, protocol)
+            try:
+                candidate.settimeout(self.remaining_s / (len(addresses) - tried))
+                candidate.connect(address)
+            except OSError as error:
+                candidate.close()
+                failure = error
+            else:
+                return candidate
+        raise failure
+
     def shut_down(self) -> None:
         with self._lock:
+            self._shut = True
             for guard in self._guards:
                 with suppress(OSError):  # the receiver has closed the connection already
                     guard.shutdown(socket.SHUT_RDWR)

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 
 import structlog
 
-from agent.notifications.connection import Channel, DeliveryFailed
+from agent.notifications.connection import Channel, DeliveryFailed, NoticeRefused
 from agent.notifications.notice import Notice
 from agent.notifications.outbox import Outbox, is_older
 from drivers.clock import RealClock
@@ -64,6 +64,7 @@ class Courier:
         self._not_before_s = float("-inf")
         self._pause_s = FIRST_PAUSE_S
         self._problem = ""
+        self._shown = ReceiverState(name)
 
     def attempt(self) -> float | None:
         """Deliver the next notice if one waits and the pause after the last failure is over.
@@ -73,11 +74,16 @@ class Courier:
         self._drop_old()
         notice = self._outbox.next_for(self.name)
         if notice is None:
+            self._show_if_changed()
             return None
         if (left_s := self._not_before_s - self._now()) > 0.0:
+            self._show_if_changed()
             return left_s
         try:
             complaint = self._channel.send(notice)
+        except NoticeRefused as error:
+            self._outbox.postpone(notice)  # an alarm must not wait behind it until it is too old
+            self._failed(str(error))
         except DeliveryFailed as error:
             self._failed(str(error))
         except Exception as defect:  # a defect in a channel must not end the deliveries, and never a run
@@ -102,7 +108,7 @@ class Courier:
         self._pause_s = FIRST_PAUSE_S if not self._problem else min(self._pause_s * _GROWTH, LONGEST_PAUSE_S)
         self._not_before_s = self._now() + self._pause_s
         former, self._problem = self._problem, problem
-        self._changed(self.state())
+        self._show()
         if not former:  # once for each disturbance, however many attempts it takes
             self._tell(f"{self.name} does not deliver; it is tried again: {problem}")
 
@@ -110,12 +116,21 @@ class Courier:
         self._outbox.remove(notice, self.name)
         self._not_before_s = float("-inf")
         former, self._problem = self._problem, complaint
-        self._changed(self.state())
+        self._show()
         if complaint and complaint != former:
             self._tell(f"{self.name} delivers only in part: {complaint}")
         elif former and not complaint:
             self._note(f"notifications: {self.name} delivers again")
             log.info("a channel delivers again", channel=self.name)
+
+    def _show_if_changed(self) -> None:
+        """Show that notices were dropped, or that more have come during a pause."""
+        if self.state() != self._shown:
+            self._show()
+
+    def _show(self) -> None:
+        self._shown = self.state()
+        self._changed(self._shown)
 
     def _tell(self, text: str) -> None:
         self._note(f"notifications: {text}")

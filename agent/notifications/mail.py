@@ -11,7 +11,14 @@ from datetime import datetime
 from email.message import EmailMessage
 from email.utils import format_datetime
 
-from agent.notifications.connection import BoundedConnections, DeliveryFailed, delivery, read_secret, tls_context
+from agent.notifications.connection import (
+    BoundedConnections,
+    DeliveryFailed,
+    NoticeRefused,
+    delivery,
+    read_secret,
+    tls_context,
+)
 from agent.notifications.notice import Notice
 from agent.printable import one_line
 from agent.settings.notifications import MailSettings
@@ -21,6 +28,7 @@ PASSWORD_CREDENTIAL = "mail-password"  # noqa: S105  the name of the credential
 _SECTION = "notifications.mail"
 _LONGEST_SUBJECT = 150
 _READY = 220
+_FOR_GOOD = 500
 _URGENT = {"info": "normal", "warning": "normal", "alarm": "urgent"}
 
 
@@ -29,7 +37,7 @@ class _BoundedSmtp(smtplib.SMTP):
     context."""
 
     def __init__(self, connections: BoundedConnections, tls: ssl.SSLContext | None) -> None:
-        super().__init__(timeout=connections.remaining_s, local_hostname="volcal")
+        super().__init__(timeout=connections.remaining_s, local_hostname="localhost")  # no search for a name
         self._connections = connections
         self._tls = tls
 
@@ -42,6 +50,7 @@ class _BoundedSmtp(smtplib.SMTP):
 
     def _get_socket(self, host: str, port: int, timeout: float) -> socket.socket:
         plain = self._connections.connect(host, port)
+        self.local_hostname = _address_literal(plain.getsockname()[0])
         return plain if self._tls is None else self._tls.wrap_socket(plain, server_hostname=host)
 
 
@@ -73,10 +82,17 @@ class MailChannel:
                 raise DeliveryFailed(_refusals(error.recipients), receiver=receiver) from error
             except smtplib.SMTPResponseException as error:
                 text = f"the server answers {error.smtp_code}: {_said(error.smtp_error)}"
-                raise DeliveryFailed(text, receiver=receiver) from error
+                of_content = isinstance(error, smtplib.SMTPDataError) and error.smtp_code >= _FOR_GOOD
+                raise (NoticeRefused if of_content else DeliveryFailed)(text, receiver=receiver) from error
             finally:
                 client.close()
         return _refusals(refused) if refused else ""
+
+
+def _address_literal(address: str) -> str:
+    """Return the address of this computer as the greeting has it (RFC 5321, section 4.1.3): many servers refuse a name
+    without a domain."""
+    return f"[IPv6:{address.partition('%')[0]}]" if ":" in address else f"[{address}]"
 
 
 def mail_of(notice: Notice, settings: MailSettings) -> EmailMessage:

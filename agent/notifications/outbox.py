@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Collection, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -100,6 +101,12 @@ class Outbox:
             self._waiting = [one for one in found if one.channels]
             self._write()
 
+    def postpone(self, notice: Notice) -> None:
+        """Let the notice wait behind the others, since its receiver has refused it."""
+        with self._lock:
+            self._waiting.sort(key=lambda one: one.notice.notice_id == notice.notice_id)
+            self._write()
+
     def _read(self) -> tuple[list[str], list[WaitingNotice]]:
         """Return the stored ids and notices. A file that cannot be read is set aside, not deleted."""
         if not self._path.exists():
@@ -108,7 +115,8 @@ class Outbox:
             stored = _StoredOutbox.model_validate_json(read_text(self._path))
         except (InputError, ValidationError) as error:
             log.warning("the outbox cannot be read and is set aside", file=str(self._path), reason=str(error))
-            self._path.replace(self._path.with_suffix(".damaged"))
+            with suppress(OSError):  # a disk that cannot be written is found at the next notice
+                self._path.replace(self._path.with_suffix(".damaged"))
             return [], []
         return list(stored.ids), [WaitingNotice(o.notice.notice(), frozenset(o.channels)) for o in stored.waiting]
 

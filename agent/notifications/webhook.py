@@ -12,10 +12,12 @@ from dataclasses import dataclass, field
 from http.client import HTTPConnection, HTTPException
 from urllib.parse import urlsplit
 
-from agent.notifications.connection import DeliveryFailed, delivery, read_secret, tls_context
+from agent.notifications.connection import DeliveryFailed, NoticeRefused, delivery, read_secret, tls_context
 from agent.notifications.notice import Notice
 from agent.settings.notifications import WebhookSettings
 
+REFUSALS = frozenset({400, 409, 413, 414, 415, 422, 431})
+"""Answers that are about the notice itself, not about the key, the URL or the time."""
 KEY_CREDENTIAL = "webhook-key"
 _SECTION = "notifications.webhook"
 
@@ -49,7 +51,8 @@ class WebhookChannel:
                 connection.close()
         if not 200 <= status <= 299:
             hint = "redirections are not followed; give the final URL" if 300 <= status <= 399 else ""
-            raise DeliveryFailed(f"the receiver answers {status}", hint=hint, receiver=f"webhook on {host}")
+            failure = NoticeRefused if status in REFUSALS else DeliveryFailed
+            raise failure(f"the receiver answers {status}", hint=hint, receiver=f"webhook on {host}")
         return ""
 
     def _headers(self, notice: Notice, body: bytes) -> dict[str, str]:

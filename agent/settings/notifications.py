@@ -46,12 +46,13 @@ def _url(text: str) -> str:
     try:
         parts = urlsplit(text)
         port = parts.port
-    except ValueError as error:
-        raise ValueError(f"must be a URL: {error}") from None
+    except ValueError:
+        raise ValueError("must be a URL such as https://host/path, with a port from 1 to 65535 if any") from None
     if "@" in parts.netloc:
         raise ValueError("must not contain a name or a password, because settings are not secret")
     if parts.scheme not in ("http", "https") or not parts.hostname or port == 0 or parts.fragment:
-        raise ValueError(f"must be a URL such as https://host/path, without a fragment, found {text!r}")
+        found = "" if "@" in text else f", found {text!r}"
+        raise ValueError(f"must be a URL such as https://host/path, without a fragment{found}")
     _host(parts.hostname)
     return text
 

@@ -32,11 +32,12 @@ from receivers import (
     scripted,
     secret_file,
     shut,
+    silent_address,
     subscribed,
     web_receiver,
 )
 
-from agent.notifications.connection import Channel, DeliveryFailed
+from agent.notifications.connection import Channel, DeliveryFailed, NoticeRefused
 from agent.notifications.mail import mail_channel
 from agent.notifications.mqtt import mqtt_channel
 from agent.notifications.notice import StoredNotice
@@ -46,6 +47,8 @@ from drivers.errors import ConfigurationError
 
 QUICK_S = 1.0
 """Time that a delivery to a bad receiver may take; a good one gets PATIENCE_S."""
+SHARED_S = 20.0
+"""Time of a delivery to a receiver with a bad and a good address: each gets half of it."""
 
 
 def mqtt(port: int, timeout_s: float = PATIENCE_S, **chosen: Any) -> Channel:
@@ -161,12 +164,25 @@ def test_https_is_checked_against_the_authority_and_the_name(tmp_path: Path) -> 
         assert receiver.posts.empty()
 
 
-@pytest.mark.parametrize("code", [301, 307, 400, 401, 404, 429, 500, 503])
+@pytest.mark.parametrize("code", [301, 307, 400, 401, 404, 413, 429, 500, 503])
 def test_only_a_good_answer_counts_as_taken(code: int) -> None:
     with web_receiver() as receiver:
         receiver.answers.put(code)
-        with pytest.raises(DeliveryFailed, match=f"answers {code}"):
+        with pytest.raises(DeliveryFailed, match=f"answers {code}") as failed:
             webhook(receiver.port).send(notice())
+    assert isinstance(failed.value, NoticeRefused) == (code in {400, 413})
+
+
+@pytest.mark.parametrize(("answer", "of_the_notice"), [("554 5.7.1 spam", True), ("451 4.3.0 later", False)])
+def test_a_mail_server_may_refuse_the_content(answer: str, of_the_notice: bool) -> None:
+    class Picky(Mailbox):
+        async def handle_DATA(self, server: Any, session: Any, envelope: Any) -> str:  # noqa: N802
+            return answer
+
+    port = free_port()
+    with mail_server(Picky(), port), pytest.raises(DeliveryFailed, match=answer[4:]) as failed:
+        mail(port).send(notice())
+    assert isinstance(failed.value, NoticeRefused) == of_the_notice
 
 
 # ---------------------------------------------------------------------- mail
@@ -184,6 +200,24 @@ def test_a_mail_says_it_in_words_to_all_recipients() -> None:
     assert found["Date"].datetime.isoformat() == "2026-11-21T02:14:00+00:00"
     assert found["Priority"] == "urgent"
     assert found.get_content().replace("\r\n", "\n") == notice().text
+
+
+def test_the_mail_server_is_greeted_with_an_address() -> None:
+    """Many servers refuse a name without a domain."""
+    greetings: list[str] = []
+
+    class Box(Mailbox):
+        async def handle_EHLO(  # noqa: N802
+            self, server: Any, session: Any, envelope: Any, hostname: str, responses: list[str]
+        ) -> list[str]:
+            greetings.append(hostname)
+            session.host_name = hostname
+            return responses
+
+    box, port = Box(), free_port()
+    with mail_server(box, port):
+        assert mail(port).send(notice()) == ""
+    assert greetings == ["[127.0.0.1]"]
 
 
 @pytest.mark.parametrize("from_start", [False, True])
@@ -286,6 +320,25 @@ def test_a_name_that_does_not_exist_cannot_be_reached(name: str, monkeypatch: py
     with pytest.raises(DeliveryFailed, match="cannot be reached: name or service not known") as failed:
         CHANNELS[name](1, **chosen[name]).send(notice())
     assert "receiver.example" in failed.value.where["receiver"]
+
+
+def test_an_address_of_the_receiver_that_does_not_answer_leaves_time_for_the_next(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with silent_address() as silent, web_receiver() as receiver:
+        addresses = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", one) for one in (silent, ("127.0.0.1", receiver.port))]
+        monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: addresses)
+        assert webhook(receiver.port, SHARED_S).send(notice()) == ""
+        assert receiver.posts.qsize() == 1
+
+
+@pytest.mark.parametrize("name", CHANNELS)
+def test_no_address_of_the_receiver_answers(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    with silent_address() as silent:
+        addresses = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", silent)] * 2
+        monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: addresses)
+        with pytest.raises(DeliveryFailed, match="no complete answer within 1 s"):
+            CHANNELS[name](1, QUICK_S).send(notice())
 
 
 @pytest.mark.parametrize(

@@ -81,6 +81,8 @@ class NoticeMaker:
                 return (*self._on_state(event), self.state_notice())
             case "question" if event.data.get("open"):
                 return (self._notice("question", "warning", opening=event.text),)
+            case "note" if "found" in event.data:  # a comparison of the compensation, which may close an alarm
+                return (self.state_notice(),)
             case "note" if event.data.get("source") == "timer" and event.data.get("not_started"):
                 kind = kind_word(str(event.data["not_started"]), self._language)
                 opening = " ".join(part for part in (event.text, str(event.data.get("hint", ""))) if part)
@@ -116,7 +118,7 @@ class NoticeMaker:
         if self._state not in AT_REST:
             self._alarms.append(alarm)
             return ()
-        return (self._notice("alarm", "alarm", alarms=(alarm,)),)
+        return (self._notice("alarm", "alarm", alarms=(alarm,)), self.state_notice())
 
     def _on_state(self, event: Event) -> tuple[Notice, ...]:
         former, self._state = self._state, RunState(event.data["state"])
@@ -189,7 +191,8 @@ class NoticeMaker:
     def _shown(self, alarm: Alarm) -> NoticeAlarm:
         meaning = self._messages.get(f"alarm.{alarm.code}", {}).get(self._language, alarm.text)
         remedy = self._messages.get(f"alarm.{alarm.code}.do", {}).get(self._language, alarm.hint)
-        return NoticeAlarm(alarm.code, meaning, remedy, alarm.text, alarm.hint, dict(alarm.where))
+        where = {name: printable(place) for name, place in alarm.where.items()}  # names of files may be no UTF-8
+        return NoticeAlarm(alarm.code, meaning, remedy, printable(alarm.text), printable(alarm.hint), where)
 
 
 _FIGURES = (

@@ -39,7 +39,9 @@ def idle_reading(owner: Owner) -> Iterator[None]:
     def work() -> None:
         going_on, tidy_after = True, ""
         while going_on:
-            if not owner.busy and tidy_after != (last := f"after {owner.status().run_id}"):
+            status = owner.status()
+            last = f"after {status.run_id} {status.started}"  # a resumed run has its former identity
+            if not owner.busy and tidy_after != last:
                 tidy_after = last
                 tidy_up(owner)
             period_s = owner.settings.service.idle_read_period_s

@@ -84,15 +84,22 @@ class Owner:
         return self._parts.event_log.subscribe()
 
     def start(self, request: RunRequest) -> str:
-        with naming(self._parts.config):
-            job = job_of(request, self.settings, self._parts.config.parent)
-        running = self._reserve()
+        try:
+            with naming(self._parts.config):
+                job = job_of(request, self.settings, self._parts.config.parent)
+            running = self._reserve()
+        except VolcalError as error:
+            if request.source == "timer":  # nobody stands there to see the refusal
+                self._note_not_started(request, error)
+            raise
         try:
             slot = self._slot_minutes(request)
             kind = kind_of(request, slot_minutes=night_slot(request, self.settings.nightly, slot))
             hooks = self._hooks.hooks(running, job.settings.clock, attended=request.consent, slot_minutes=slot)
         except BaseException as error:
-            self._not_started(request, error)
+            self._release()
+            if isinstance(error, VolcalError):
+                self._note_not_started(request, error)
             raise
         return self._begin(running, job, kind, hooks, request.source, request.model_dump(mode="json"))
 
@@ -343,13 +350,11 @@ class Owner:
             hint=f"remove the cause, reset (`volcal reset`), then {further}",
         )
 
-    def _not_started(self, request: RunRequest, error: BaseException) -> None:
-        self._release()
-        if isinstance(error, VolcalError):
-            text = f"{request.kind} requested by {request.source} was not started: {error.message}"
-            data = {"not_started": request.kind, "hint": error.hint, "source": request.source}
-            self._parts.event_log.publish("note", text, data)
-            log.warning(text, hint=error.hint)
+    def _note_not_started(self, request: RunRequest, error: VolcalError) -> None:
+        text = f"{request.kind} requested by {request.source} was not started: {error.message}"
+        data = {"not_started": request.kind, "hint": error.hint, "source": request.source}
+        self._parts.event_log.publish("note", text, data)
+        log.warning(text, hint=error.hint)
 
     def _begin(
         self, run: RunMailbox, job: Job, kind: Kind, hooks: RunHooks, source: Source, asked: Mapping[str, object]

@@ -247,6 +247,22 @@ class TestTidyingUp:
             built.puppet.end(RunState.COMPLETE)
             assert tidied.get(timeout=PATIENCE_S) == {1, 2}
 
+    def test_the_end_of_a_resumed_run_is_the_end_of_a_run_too(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        tidied: SimpleQueue[str | None] = SimpleQueue()
+        monkeypatch.setattr(idle_reader, "tidy_up", lambda owner: tidied.put(owner.status().started))
+        with house(tmp_path) as built:
+            board = built.parts.board
+            with idle_reading(built.owner):
+                assert tidied.get(timeout=PATIENCE_S) is None
+                for started_at in ("2026-11-21T02:00:00.000Z", "2026-11-21T09:00:00.000Z"):
+                    board.begin_run("20261121T020000Z-0000", "calibrate", "page", "S3")
+                    board._change(started=started_at)
+                    built.owner._release()  # wakes the thread as the end of a run does
+                    while tidied.get(timeout=PATIENCE_S) != started_at:
+                        pass
+
     def test_no_run_is_compacted_while_another_is_in_progress(self, state: Path) -> None:
         with house(state, history={"whole_runs": 1, "whole_days": 0.0}) as built:
             started(built)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,7 +15,7 @@ from journaled import journaled
 from service_house import PATIENCE_S, House, house
 from test_alarm_after_restart import LOST, journal_run
 
-from agent.errors import GateRefused
+from agent.errors import Busy, GateRefused
 from agent.execution.journal import Journal
 from agent.execution.states import RunState
 from agent.notifications.notice import Notice
@@ -24,7 +25,7 @@ from agent.service.daemon import serve
 from agent.service.state.archive import Archive
 from agent.settings.notifications import NotificationSettings
 from drivers.clock import VirtualClock
-from drivers.errors import ConfigurationError, UserError, VolcalError
+from drivers.errors import ConfigurationError, PermissionMissing, UserError, VolcalError
 
 BY_HAND = RunRequest(kind="calibrate", source="page", consent=True)
 BY_TIMER = RunRequest(kind="nightly", source="timer")
@@ -180,6 +181,17 @@ def test_a_run_that_is_refused_before_the_journal_has_it_is_told(tmp_path, monke
     assert [alarm.code for alarm in told.alarms] == [200]
 
 
+def test_the_name_of_a_file_that_is_no_utf_8_can_be_told(tmp_path, monkeypatch) -> None:
+    with house(tmp_path) as built, telling(tmp_path, monkeypatch, built, mail=MAIL) as boxes:
+        built.owner.start(BY_HAND)
+        built.puppet.begun()
+        built.puppet.crash(UserError("Fr\udce4se.toml cannot be read", hint="Fr\udce4se", file="Fr\udce4se.toml"))
+        assert built.owner.wait(PATIENCE_S)
+        told = boxes["mail"].next()
+    assert dict(told.alarms[0].where)["file"] == "Fr\N{REPLACEMENT CHARACTER}se.toml"
+    assert json.dumps(told.as_json(), ensure_ascii=False).encode()
+
+
 def test_a_request_of_the_timer_that_is_not_carried_out_is_told(tmp_path, monkeypatch) -> None:
     hours: dict[str, Any] = {"service": {"hours": ["22:00-01:00"]}}
     with house(tmp_path, **hours) as built, telling(tmp_path, monkeypatch, built, mail=MAIL, language="de") as boxes:
@@ -192,6 +204,32 @@ def test_a_request_of_the_timer_that_is_not_carried_out_is_told(tmp_path, monkey
     assert told.subject == "case-study: Nachtlauf wurde nicht gestartet"
     assert "22:00-01:00" in told.text
     assert boxes["mail"].told.empty()
+
+
+def test_a_request_of_the_timer_after_a_fault_that_nobody_has_reset_is_told(tmp_path, monkeypatch) -> None:
+    with house(tmp_path) as built, telling(tmp_path, monkeypatch, built, mail=MAIL) as boxes:
+        run(built, tmp_path, RunState.FAULTED, LOST)
+        assert boxes["mail"].next().occasion == "end"
+        for request in (BY_HAND, BY_TIMER):
+            with pytest.raises(PermissionMissing):
+                built.owner.start(request)
+        told = boxes["mail"].next()
+    assert told.subject == "case-study: Night run was not started"
+    assert "remove the cause, reset" in told.text
+    assert boxes["mail"].told.empty()
+
+
+def test_a_request_of_the_timer_while_a_run_is_in_progress_is_told(tmp_path, monkeypatch) -> None:
+    with house(tmp_path) as built, telling(tmp_path, monkeypatch, built, mail=MAIL) as boxes:
+        run_id = built.owner.start(BY_HAND)
+        with pytest.raises(Busy):
+            built.owner.start(BY_TIMER)
+        told = boxes["mail"].next()
+        assert built.owner.running_id == run_id
+        built.puppet.begun()
+        built.puppet.end(RunState.COMPLETE)
+        assert built.owner.wait(PATIENCE_S)
+    assert (told.occasion, f"run {run_id} is in progress" in told.text) == ("not-started", True)
 
 
 def test_an_alarm_between_runs_is_told_at_once(tmp_path, monkeypatch) -> None:
@@ -218,6 +256,20 @@ def test_each_channel_is_told_of_its_occasions_and_mqtt_of_each_state(tmp_path, 
     assert boxes["webhook"].next().occasion == "end"
     assert boxes["webhook"].told.empty()
     assert boxes["mail"].told.empty()
+
+
+def test_the_retained_state_has_the_alarms_that_are_open_between_runs(tmp_path, monkeypatch) -> None:
+    lost = Reconciliation(CompensationState.CHANGED, ReconcileAction.NOTHING, 2, instruction="look at the bank")
+    with house(tmp_path) as built:
+        with telling(tmp_path, monkeypatch, built, mqtt=MQTT) as boxes:
+            built.machine.found.append(lost)
+            built.owner.reconcile()
+        opened = [boxes["mqtt"].next() for _ in range(boxes["mqtt"].told.qsize())][-1]
+        with telling(tmp_path, monkeypatch, built, mqtt=MQTT) as boxes:
+            built.owner.reset()
+        closed = [boxes["mqtt"].next() for _ in range(boxes["mqtt"].told.qsize())][-1]
+    assert (opened.occasion, opened.severity, [alarm.code for alarm in opened.alarms]) == ("state", "alarm", [360])
+    assert (closed.occasion, closed.severity, closed.alarms) == ("state", "info", ())
 
 
 def test_an_open_question_is_told(tmp_path, monkeypatch) -> None:

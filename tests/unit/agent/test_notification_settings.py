@@ -102,6 +102,13 @@ def test_a_password_in_a_url_is_refused_and_not_repeated(tmp_path) -> None:
     assert "pa55word" not in str(refused.value)
 
 
+@pytest.mark.parametrize("url", ["volcal:pa55word@hook/", "https:/volcal:pa55word@hook/", "https://volcal:pa55/word@h"])
+def test_a_password_in_a_malformed_url_is_not_repeated(tmp_path, url) -> None:
+    with pytest.raises(FormatError) as refused:
+        read(tmp_path, webhook={"url": url})
+    assert "pa55" not in str(refused.value)
+
+
 @pytest.mark.parametrize("address", BAD_ADDRESSES)
 @pytest.mark.parametrize("key", ["sender", "to"])
 def test_a_mail_address_is_plain(tmp_path, key, address) -> None:
@@ -190,6 +197,20 @@ def test_a_test_notice_goes_to_every_receiver(tmp_path) -> None:
     assert result.exit_code == 3
     assert "answers 500" in result.stdout
     assert box.mails.empty()
+
+
+def test_a_receiver_without_its_secret_does_not_keep_another_from_being_tried(tmp_path) -> None:
+    with web_receiver() as receiver:
+        path = config(
+            tmp_path,
+            f'[notifications.webhook]\nurl = "http://127.0.0.1:{receiver.port}/"\n'
+            '[notifications.mqtt]\nhost = "127.0.0.1"\nusername = "mill-3"',
+        )
+        result = CliRunner().invoke(notify_command, ["--config", str(path), "--to", "webhook"])
+        assert result.exit_code == 0, result.output
+        result = CliRunner().invoke(notify_command, ["--config", str(path)])
+        assert result.exit_code == ConfigurationError.exit_code
+    assert receiver.posts.qsize() == 1
 
 
 @pytest.mark.parametrize("arguments", [[], ["--to", "mqtt"]])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import threading
 from collections.abc import Sequence
@@ -14,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
-from agent.notifications.connection import DeliveryFailed
+from agent.notifications.connection import DeliveryFailed, NoticeRefused
 from agent.notifications.dispatcher import FIRST_PAUSE_S, LONGEST_PAUSE_S, Courier, Dispatcher, ReceiverState
 from agent.notifications.notice import Notice, Occasion
 from agent.notifications.outbox import FILE_NAME, Outbox
@@ -140,6 +141,25 @@ def test_a_failure_is_told_once_and_its_end_once(tmp_path: Path) -> None:
     assert desk.states[-1].problem == ""
 
 
+def test_a_notice_that_its_receiver_refuses_does_not_hold_up_the_others(tmp_path: Path) -> None:
+    class Picky(Receiver):
+        def send(self, told: Notice) -> str:
+            if told.notice_id == "big":
+                return super().send(told)
+            self.delivered.put(told.notice_id)
+            return ""
+
+    receiver = Picky([NoticeRefused("the receiver answers 413", receiver="webhook") for _ in range(4)])
+    desk = Desk(tmp_path, receiver)
+    for one in ("big", "n-1", "n-2"):
+        desk.put(notice(one))
+    with capture_logs():
+        while (pause_s := desk.work()) is not None:
+            desk.now_s += pause_s
+    assert receiver.ids() == ["n-1", "n-2", "big"]
+    assert receiver.attempts == 5
+
+
 def test_a_defect_in_a_channel_is_a_failure_like_any_other(tmp_path: Path) -> None:
     receiver = Receiver([ZeroDivisionError()])
     desk = Desk(tmp_path, receiver)
@@ -165,6 +185,20 @@ def test_a_notice_that_is_too_old_is_dropped_with_a_note(tmp_path: Path) -> None
         desk.work()
     assert receiver.ids() == ["new"]
     assert any("dropped" in text and "subject of old" in text for text in desk.notes)
+
+
+def test_the_number_that_waits_is_shown_during_a_pause_and_after_the_last_is_dropped(tmp_path: Path) -> None:
+    desk = Desk(tmp_path, Receiver(away(1)), max_age_hours=24.0)
+    with capture_logs():
+        desk.put(notice("n-1"))
+        desk.work()
+        desk.put(notice("n-2"))
+        desk.work()
+        assert desk.states[-1].waiting == 2
+        desk.today += timedelta(hours=24.1)
+        assert desk.work() is None
+    assert desk.states[-1].waiting == 0
+    assert "cannot be reached" in desk.states[-1].problem
 
 
 def test_a_delivery_in_part_is_told_once(tmp_path: Path) -> None:
@@ -217,6 +251,19 @@ def test_a_damaged_outbox_is_set_aside(tmp_path_factory: pytest.TempPathFactory,
     assert [line["log_level"] for line in logs] == ["warning"]
     assert (directory / "outbox.damaged").read_bytes() == content
     assert outbox.put(notice("n-1"), ("mail",))
+
+
+def test_a_damaged_outbox_on_a_disk_that_cannot_be_written_is_ignored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EROFS, "read-only file system")
+
+    (tmp_path / FILE_NAME).write_text("damaged")
+    monkeypatch.setattr(Path, "replace", refuse)
+    with capture_logs() as logs:
+        assert Outbox(tmp_path, ("mail",)).put(notice("n-1"), ("mail",))
+    assert len(logs) == 2
 
 
 @pytest.mark.parametrize("key", ["notice_id", "occasion", "alarms", "run"])
