@@ -43,7 +43,7 @@ def told(chromium: Browser, house: Service, table: UnprovedTable, locale: str) -
         page.route("**/api/status", status)
         # the stream begins with the status of the service itself
         page.route("**/api/events", lambda route: route.fulfill(content_type="text/event-stream", body=NO_EVENTS))
-        page.route(re.compile("/api/(unproved-table|resume-run)"), record)
+        page.route(re.compile("/api/(unproved-table|resume-run|give-up-run)"), record)
         page.reload()
         expect(page.locator("#unproved")).to_be_visible()
         yield page, asked

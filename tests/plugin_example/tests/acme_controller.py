@@ -17,6 +17,7 @@ class AcmeController:
         self.outcome = "reached"
         self.fault = False
         self.motion: tuple[str, list[float], list[float], float] | None = None
+        self.held: tuple[str, list[float], float] | None = None
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.port: int = self._listener.getsockname()[1]
         threading.Thread(target=self._serve, daemon=True).start()
@@ -47,7 +48,7 @@ class AcmeController:
         return [a + share * (b - a) for a, b in zip(start, target, strict=True)]
 
     def _end(self, outcome: str, *, fault: bool = False) -> None:
-        self.motion, self.outcome, self.fault = None, outcome, fault
+        self.motion, self.held, self.outcome, self.fault = None, None, outcome, fault
 
     def _serve(self) -> None:
         while True:
@@ -63,17 +64,24 @@ class AcmeController:
         name, arguments = words[0], words[1:]
         if name in ("move", "guarded", "touch"):
             return self._start(name, [float(word) for word in arguments[:3]], arguments[3])
-        if name == "stop" and self.motion is not None:
+        if name == "stop" and (self.motion is not None or self.held is not None):
             self._end("stopped")
+        if name == "hold" and self.motion is not None:
+            kind, _, target, feed = self.motion
+            self.motion, self.held = None, (kind, target, feed)
+        if name == "resume" and self.held is not None:
+            kind, target, feed = self.held
+            self.motion, self.held, self.since_s = (kind, list(self.here), target, feed), None, self.now_s
         if name == "reset":
             self.fault = False
-        state = "fault" if self.fault else "moving" if self.motion is not None else "idle"
+        moving = "moving" if self.motion is not None else "held" if self.held is not None else "idle"
+        state = "fault" if self.fault else moving
         answers = {
             "status": f"{state} {'not-ready' if self.fault else 'ready'}",
             "position": " ".join(map(repr, self.here)),
             "latch": " ".join(map(repr, self.latch)),
             "limits": " ".join(map(str, [0.0] * 3 + [TRAVEL] * 3 + [RAPID] * 3 + [1000.0] * 3)),
-            "outcome": "moving" if self.motion is not None else self.outcome,
+            "outcome": self.outcome if moving == "idle" else "moving",
             "probe": "deflected" if self.here[1] > WALL_Y else "free",
         }
         return f"ok {answers.get(name, '')}"
