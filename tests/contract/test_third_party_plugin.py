@@ -108,4 +108,4 @@ def test_it_fulfils_the_contract(installed: Path, tmp_path: Path) -> None:
     tests = shutil.copytree(EXAMPLE / "tests", tmp_path / "tests")
     completed = run(installed, "pytest", "-q", "-p", "no:cacheprovider", str(tests), cwd=tmp_path)
     assert completed.returncode == 0, completed.stdout[-3000:]
-    assert "16 passed" in completed.stdout
+    assert "17 passed" in completed.stdout
