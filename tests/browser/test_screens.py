@@ -166,7 +166,7 @@ def test_the_start_dialog_asks_for_what_the_kind_of_run_has(chromium: Browser, h
         sent: list[dict[str, Any]] = []
 
         def record(route: Route) -> None:
-            sent.append(route.request.post_data_json)
+            sent.append(route.request.post_data_json or {})
             route.fulfill(json={"run_id": RUN}, status=202)
 
         page.route("**/api/start", record)

@@ -15,12 +15,13 @@ from agent.planning.cycle_time import machine_minutes
 from agent.planning.design.bar_variants import Bar
 from agent.planning.design.variants import variants_of
 from agent.runs.kinds.calibrate import preflight_of
-from agent.studies import ball_count, design, misalignment, strategy
+from agent.studies import ball_count, design, misalignment
 from agent.studies.identification_variants import identification_variants
 from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant
 from agent.studies.study import StudyCase
 from agent.studies.workers import LocalWorkers
 from twin.artefact.artefact import Artefact
+from twin.artefact.position_set import SET_EXPRESSIONS
 from twin.identification import Options
 
 DOCS = Path(__file__).parents[3] / "docs"
@@ -57,7 +58,7 @@ def agree(name: str, row: dict[str, str], artefact: Artefact, expression: str) -
 def test_times_and_errors_of_the_sets_are_those_of_the_program() -> None:
     rows = table("strategy")
     assert {(row["sets"], row["identification"]) for row in rows} == {
-        (name, variant.label) for name in strategy.EXPRESSIONS for variant in VARIANTS
+        (name, variant.label) for name in SET_EXPRESSIONS for variant in VARIANTS
     }
     minutes = {name: machine_minutes(case().job, case().positions(name)).total for name in ("S1", "S2", "S3")}
     for row in rows:
