@@ -60,7 +60,7 @@ def season() -> Iterator[Season]:
         class Listening(list[Announcement]):
             def append(self, announcement: Announcement) -> None:
                 heard.append(announcement)
-                if announcement.kind == "ball" and asked:
+                if announcement.kind == "progress" and announcement.data["fraction"] > 0.0 and asked:
                     asked[0].request_abort("somebody pressed abort")
 
         night.heard = Listening()

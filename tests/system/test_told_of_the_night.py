@@ -8,11 +8,17 @@ import json
 import re
 import signal
 from pathlib import Path
+from typing import Any
 
 from receivers import PASSWORD, port_of_nobody, secret_file, web_receiver
-from service_process import AT_ONCE, service, short_settings, simulator
+from service_process import AT_ONCE, Service, service, short_settings, simulator
+from simulated import wait_for
 
 from agent.notifications.notice import StoredNotice
+
+
+def failing(running: Service) -> dict[str, Any] | None:
+    return next((one for one in running.status()["receivers"] if one["problem"]), None)
 
 
 def test_the_end_of_a_run_is_told_after_a_kill_and_an_absent_receiver(tmp_path: Path) -> None:
@@ -23,7 +29,7 @@ def test_the_end_of_a_run_is_told_after_a_kill_and_an_absent_receiver(tmp_path: 
         with service(config) as first:
             run_id = first.start()
             first.reached("complete")
-            shown = first.until(lambda now: now["receivers"] and now["receivers"][0], "a receiver that fails")
+            shown = wait_for(lambda: failing(first), "a receiver that fails")
             assert (shown["channel"], shown["waiting"]) == ("webhook", 1)
             assert "connection refused" in shown["problem"]
             assert "webhook fails" in first.command("status").stdout
@@ -33,7 +39,7 @@ def test_the_end_of_a_run_is_told_after_a_kill_and_an_absent_receiver(tmp_path: 
             first.end(signal.SIGKILL)
         with web_receiver(port=port) as receiver, service(config) as second:
             posted = receiver.next()
-            second.until(lambda now: now["receivers"] and now["receivers"][0]["waiting"] == 0, "the delivery")
+            wait_for(lambda: [one["waiting"] for one in second.status()["receivers"]] == [0], "the delivery")
             assert second.end() == 0
             assert receiver.posts.empty()
     signed = posted.headers["X-Volcal-Timestamp"].encode() + b"." + posted.body
