@@ -13,6 +13,7 @@ from typing import Any, cast
 
 import can
 import numpy as np
+from rigs import drives
 
 from drivers.canopen_mount.mount import CanopenMount
 from drivers.canopen_mount.settings import CanopenMountSettings
@@ -262,19 +263,7 @@ class CanLook(LookRig):
         self.can_move = True
 
     def make(self, clock: Clock, sdo_timeout_s: float = 5.0) -> CanopenMount:
-        limits = {"azimuth": 180.0, "elevation": 90.0}
-        axes = {
-            axis: {
-                "node_id": node,
-                "encoder_counts_per_revolution": 131072,
-                "gear_motor_revolutions": 100,
-                "lower_deg": -limits[axis],
-                "upper_deg": limits[axis],
-                "speed_deg_per_s": 20.0,
-                "acceleration_deg_per_s2": 40.0,
-            }
-            for node, axis in enumerate(("azimuth", "elevation"), start=1)
-        }
+        axes = drives({"azimuth": 1, "elevation": 2})
         # networks of its own, as another process has
         return CanopenMount(
             CanopenMountSettings.model_validate(
