@@ -165,7 +165,9 @@ class VolumetricComparison:
 
     `true_mm` is the true value, and `expected_mm` is the root of the expected mean square, both in mm. Both apply after
     the best-fitting rigid motion has been removed. `level` is the level of the equal-tailed uncertainty interval that
-    ends exactly at the true value.
+    ends exactly at the true value. As for the limits that an identification states (`volumetric_limits`), the lower
+    ends of the intervals take noise in excess of the stated noise as noise of the touches, the upper ends as error of
+    the machine; `level` is 0 for true values between the two medians.
     """
 
     true_mm: float
@@ -184,13 +186,16 @@ def volumetric_comparisons(
     offset = truth.tool_offset
     true = truth.deviation(grid)
     left = true - exact_deviation(estimate.model, grid, offset, estimate.parameters)
-    stated = volumetric_distributions(estimate, grid, offset)
+    most = volumetric_distributions(estimate, grid, offset)
+    least = volumetric_distributions(estimate, grid, offset, excess_noise_stays=False)
     found = []
-    for field, distribution in ((true, stated.ve), (left, stated.vce)):
+    for field, upper, lower in ((true, most.ve, least.ve), (left, most.vce, least.vce)):
         rms_mm = volumetric_error(grid + offset, field).aligned_mm
-        # An equal-tailed interval of level p ends at the quantiles (1 ± p)/2, so it ends at the truth if p = |2 P - 1|.
-        below = distribution.aligned.at_most(rms_mm**2)
-        found.append(VolumetricComparison(rms_mm, distribution.expected.aligned_mm, abs(2.0 * below - 1.0)))
+        # An equal-tailed interval of level p ends at the quantiles (1 ± p)/2, so its upper end is the truth if
+        # p = 2 P - 1, and its lower end if p = 1 - 2 P.
+        above, below = (one.aligned.at_most(rms_mm**2) for one in (upper, lower))
+        level = max(2.0 * above - 1.0, 1.0 - 2.0 * below, 0.0)
+        found.append(VolumetricComparison(rms_mm, upper.expected.aligned_mm, level))
     return found[0], found[1]
 
 

@@ -8,13 +8,18 @@ cumulant generating function of a quadratic form Q, and s the saddle at which K'
 
 with the normal distribution function Φ and its density φ. If s is given instead of x, no equation has to be solved.
 The approximation gives the limits to within 0.5 % of the exact distributions.
+
+Ball centres that scatter more than the stated noise of the touches can have two causes: the touches scatter more than
+stated, or the machine has errors between the balls, which stay after compensation. The centres cannot tell one from the
+other. The upper limits therefore take all excess as error of the machine, the lower limits take it as noise of the
+touches, and the limits hold whichever it is.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -52,7 +57,7 @@ def volumetric_limits(estimate: Estimate, points: ArrayLike, tool_offset: ArrayL
     """Return the limits of the equal-tailed intervals that contain the VE and the VCE with a probability of 95 %.
 
     The errors are taken over the axis positions `points` (n, 3) in mm. The limits take into account all sets of scales
-    that the measurements allow.
+    that the measurements allow, and both causes of noise in excess of the stated noise.
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     return limits_of_form(estimate, field_forms(estimate, grid, offset)[1])
@@ -67,10 +72,15 @@ def limits_of_form(estimate: Estimate, form: Array) -> VolumetricLimits:
     written = np.zeros(len(form))
     written[: estimate.model.size] = estimate.parameters
     root = _root(form)
-    parts = [_before_and_after(root, one, written) for one in mixture_components(estimate)]
+    likely = mixture_components(estimate)
+    parts = [_before_and_after(root, one, written) for one in likely]
     before, after = [one for one, _ in parts], [one for _, one in parts]
     expected_mm2 = float(np.mean([one.mean for one in before]))
-    return VolumetricLimits(UM_PER_MM * math.sqrt(expected_mm2), _limits_um(before), _limits_um(after))
+    # the unresolved misfit is the same in three directions
+    touches_mm2 = [3.0 * (one.unresolved_mm2 - one.least_unresolved_mm2) for one in likely]
+    return VolumetricLimits(
+        UM_PER_MM * math.sqrt(expected_mm2), _limits_um(before, touches_mm2), _limits_um(after, touches_mm2)
+    )
 
 
 def mixture_quantiles(parts: Sequence[QuadraticDistribution], probabilities: ArrayLike) -> Array:
@@ -113,9 +123,15 @@ def _before_and_after(
     return found[0], found[1]
 
 
-def _limits_um(parts: Sequence[QuadraticDistribution]) -> tuple[float, float]:
+def _limits_um(parts: Sequence[QuadraticDistribution], touches_mm2: Sequence[float]) -> tuple[float, float]:
+    """Return the lower and the upper limit in µm. `touches_mm2` is the part of the mean square of each of the `parts`
+    that may be noise of the touches instead."""
     outside = 0.5 * (1.0 - COVERAGE)
-    lower, upper = mixture_quantiles(parts, (outside, 1.0 - outside)).tolist()
+    reduced = [replace(part, least=part.least - noise) for part, noise in zip(parts, touches_mm2, strict=True)]
+    lower, upper = (
+        float(mixture_quantiles(of, (probability,))[0])
+        for of, probability in ((reduced, outside), (parts, 1.0 - outside))
+    )
     return UM_PER_MM * math.sqrt(max(lower, 0.0)), UM_PER_MM * math.sqrt(max(upper, 0.0))
 
 
