@@ -21,8 +21,9 @@ class Supervisor:
     to it.
 
     The clock of the run (an `InterruptibleClock`) calls the method `check` during its waits. The callback `on_hold`
-    starts the machine's feed hold, and `on_resume` ends it. Both are called on the thread of the run while it waits on
-    the clock, and never while a driver exchanges a message with a device.
+    starts the machine's feed hold, and `on_resume` ends it. Before it ends, `before_resume` may wait until the machine
+    can be resumed; a hold that is requested again during this wait goes on. All three are called on the thread of the
+    run while it waits on the clock, and never while a driver exchanges a message with a device.
 
     The callback `heartbeat` is called at every check and repeatedly during a hold. From these calls, a watchdog can see
     that the thread of the run does not hang.
@@ -36,6 +37,7 @@ class Supervisor:
         self._shielded = False
         self._holding = False
         self.on_hold: Callable[[], None] = _do_nothing
+        self.before_resume: Callable[[], None] = _do_nothing
         self.on_resume: Callable[[], None] = _do_nothing
         self.heartbeat: Callable[[], None] = _do_nothing
 
@@ -109,6 +111,8 @@ class Supervisor:
                 self.heartbeat()
                 self._raise_stop_request()
                 self._clock.sleep(HOLD_POLL_S)
+                if not self._hold.is_set():
+                    self.before_resume()
             self.on_resume()
         finally:
             self._holding = False

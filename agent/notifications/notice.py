@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, Final, Literal
+from datetime import datetime
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import AfterValidator
 
 from twin.formats.toml_reading import StrictModel
 
@@ -74,12 +77,19 @@ class Notice:
         return {"version": VERSION, **document, "alarms": list(document["alarms"])}
 
 
+def _instant(text: str) -> str:
+    """Return the text of an instant. Raises ValueError if it is none, or has no time zone to compare it in."""
+    if datetime.fromisoformat(text).tzinfo is None:
+        raise ValueError("the instant has no time zone")
+    return text
+
+
 class StoredNotice(StrictModel):
     """Form in which a notice is stored, to validate what is read from the disk."""
 
     version: Literal[1]
     notice_id: str
-    at: str
+    at: Annotated[str, AfterValidator(_instant)]
     machine: str
     occasion: Occasion
     severity: Severity

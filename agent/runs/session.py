@@ -147,19 +147,22 @@ def open_rig(context: RunContext) -> Iterator[None]:
         rig.machine.hold()
         tracker.hold()
 
-    def resume() -> None:
+    def brake() -> None:
         # A controller ignores a resumption while it still brakes for the hold. There is nothing to wait for if the link
         # is being restored, since no motion is followed then, and if a motion cannot be held, such as homing.
         check = context.supervisor.check_stop_request  # in the middle of a hold the clock does not call it
         with suppress(LinkError, DeadlineExpired):
             rig.await_standstill(check)
         check()  # after an abort the axes do not start again
+
+    def resume() -> None:
         rig.machine.resume()
         tracker.resume()
 
     rig.open()
     try:
-        context.supervisor.on_hold, context.supervisor.on_resume = hold, resume
+        supervisor = context.supervisor
+        supervisor.on_hold, supervisor.before_resume, supervisor.on_resume = hold, brake, resume
         yield
     finally:
         for complaint in rig.close():

@@ -56,7 +56,7 @@ def _rows(status: Mapping[str, Any]) -> list[tuple[str, str]]:
         rows.append(("measured", f"{status['balls']} balls, {status['touches']} touches"))
     if status["minutes_left"] is not None:
         rows.append(("progress", f"{100.0 * status['fraction']:.0f} %, {status['minutes_left']:.0f} min left"))
-    if status["phase"]:
+    if status.get("phase"):  # a service of an earlier version knows neither phases nor receivers
         rows.append(("phase", _phase(status)))
     for name, key in (("VE without table", "ve_before_um"), ("VCE with table", "ve_now_um")):
         if status[key] is not None:
@@ -70,7 +70,7 @@ def _rows(status: Mapping[str, Any]) -> list[tuple[str, str]]:
     if status["question"]:
         question = status["question"]
         rows.append((f"question {question['number']}", question["text"]))
-    for one in status["receivers"]:
+    for one in status.get("receivers", ()):
         if one["problem"]:
             rows.append((f"{one['channel']} fails", f"{one['waiting']} notices wait: {one['problem']}"))
     rows += [(f"alarm {a['code']}", f"{a['text']}. {a['hint']}") for a in status["alarms"]]

@@ -111,11 +111,13 @@ def notifying(settings: Settings, parts: OwnerParts, owner: Owner, archive: Arch
     chosen = settings.notifications
     dispatcher = dispatcher_of(chosen, settings.state_directory, parts.board.show_receiver, note)
     last = parts.journal_state.last_run_id()
-    watch = NoticeWatch(NoticeMaker(chosen, owner.status, ended), dispatcher)
     dispatcher.start()
     try:
-        with owner.subscribe() as events, watch.watching(events, None if last is None else ended(last)):
-            yield
+        # The maker reads the state of the service: only after the subscription does it miss no change of it.
+        with owner.subscribe() as events:
+            watch = NoticeWatch(NoticeMaker(chosen, owner.status, ended), dispatcher)
+            with watch.watching(events, None if last is None else ended(last)):
+                yield
     finally:
         if not dispatcher.close(CLOSE_TIMEOUT_S):
             log.info("a notice is still being delivered; it is delivered again after the next start")

@@ -269,10 +269,19 @@ def test_a_damaged_outbox_on_a_disk_that_cannot_be_written_is_ignored(
 
 @pytest.mark.parametrize("key", ["notice_id", "occasion", "alarms", "run"])
 def test_an_outbox_of_another_form_is_set_aside(tmp_path: Path, key: str) -> None:
+    assert_set_aside(tmp_path, key, {"not": "this"})
+
+
+@pytest.mark.parametrize("at", ["2026-11-29T03:15:00", "yesterday"])
+def test_a_notice_of_no_known_instant_is_set_aside(tmp_path: Path, at: str) -> None:
+    assert_set_aside(tmp_path, "at", at)
+
+
+def assert_set_aside(tmp_path: Path, key: str, value: object) -> None:
     Outbox(tmp_path, ("mail",)).put(notice("n-1"), ("mail",))
     path = tmp_path / FILE_NAME
     document = json.loads(path.read_text())
-    document["waiting"][0]["notice"][key] = {"not": "this"}
+    document["waiting"][0]["notice"][key] = value
     path.write_text(json.dumps(document))
     with capture_logs():
         assert Outbox(tmp_path, ("mail",)).next_for("mail") is None

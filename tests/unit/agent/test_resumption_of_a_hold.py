@@ -82,6 +82,20 @@ def test_an_abort_while_the_axes_brake_takes_effect_at_once_and_the_machine_is_n
     assert held.inner.now() <= abort_s + STANDSTILL_POLL_S + INTERRUPT_SLICE_S
 
 
+def test_a_hold_while_the_axes_brake_goes_on_without_a_resumption_between() -> None:
+    held = Held(0.7)
+    again_s, released_s = RESUME_S + 0.3, RESUME_S + 10.0
+
+    def press(now_s: float) -> None:
+        if again_s <= now_s < released_s:
+            held.supervisor.request_hold()
+
+    held.inner.subscribe(press)
+    held.wait()
+    assert held.told == ["hold", "resume"]
+    assert held.machine.told[1][1] == pytest.approx(released_s, abs=2.0 * STANDSTILL_POLL_S)
+
+
 def test_a_motion_that_cannot_be_held_goes_on() -> None:
     held = Held(10.0 * STANDSTILL_WITHIN_S)
     held.wait()

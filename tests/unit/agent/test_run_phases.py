@@ -70,6 +70,12 @@ def progress(phase: str, fraction: float) -> dict[str, Any]:
     return {"phase": phase, "phase_fraction": fraction, "phase_minutes_left": 1.0, "fraction": 0.5, "minutes_left": 9.0}
 
 
+def test_the_status_of_a_service_that_knows_no_phases_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    status = vars(StatusBoard("mill", EventLog(), VirtualClock().now).status())
+    show({key: value for key, value in status.items() if key != "receivers" and "phase" not in key}, as_json=False)
+    assert "accepted requests" in capsys.readouterr().out
+
+
 def test_the_status_names_the_phase_from_the_request_to_the_end() -> None:
     board = StatusBoard("mill", EventLog(), VirtualClock().now)
     assert board.status().phase == ""
