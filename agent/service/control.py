@@ -72,8 +72,8 @@ class Status:
       completed part, from 0 to 1, and `phase_minutes_left` its remaining time in min, machine time or, in a preflight,
       the time of the computation; None if it is not known.
     - `simulated_steps` is the number of steps that the preflight of the run has simulated so far.
-    - `started_by` says who asked for the run: the source of the request, with the name of the client if it is known;
-      empty after a reset and after a restart of the service.
+    - `source` is the source of the request for the run, and `by` the name of the client that sent it if it is known;
+      both are empty after a reset and after a restart of the service.
     - `ve_before_um` and `ve_now_um` are the volumetric errors (VE) without and with the compensation table, according
       to the last accepted estimate; both are in µm, after the best-fitting rigid motion is removed.
     - `may` contains the requests that are allowed now (``start``, ``hold``, ``resume``, ``abort``, ``reset``,
@@ -97,7 +97,8 @@ class Status:
     kind: str | None = None
     position_set: str | None = None
     started: str | None = None
-    started_by: str = ""
+    source: str = ""
+    by: str = ""
     doing: str = ""
     step: str = ""
     fraction: float = 0.0

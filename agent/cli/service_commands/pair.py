@@ -105,8 +105,8 @@ def _show(found: dict[str, Any], *, reachable: bool, as_json: bool) -> None:
     click.echo(f"page      {found['address']}")
     if not reachable:
         click.echo(
-            "note: the service listens on loopback, so only a browser on this PC reaches the page; "
-            "for others see docs/how-to/pair-a-panel.md",
+            "note: only a browser on this PC reaches this address; other devices need `service.host` and "
+            "`service.host_names` in the settings (docs/how-to/pair-a-panel.md)",
             err=True,
         )
 

@@ -206,7 +206,8 @@ class StatusView(BaseModel):
     kind: str | None
     position_set: str | None
     started: str | None
-    started_by: str
+    source: str
+    by: str
     doing: str
     step: str
     fraction: float

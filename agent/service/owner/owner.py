@@ -17,7 +17,7 @@ from agent.model_files import load_machine
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
 from agent.printable import one_line
-from agent.results.run_requester import named, requester_of
+from agent.results.run_requester import named
 from agent.runs.kinds.restoration import TABLE_ROLES, Restoration, stored_table
 from agent.runs.planned_run import Kind
 from agent.runs.reconcile_result import Reconciliation
@@ -102,7 +102,7 @@ class Owner:
             if isinstance(error, VolcalError):
                 self._note_not_started(request, error)
             raise
-        return self._begin(running, job, kind, hooks, {**request.model_dump(mode="json"), **named(by)})
+        return self._begin(running, job, kind, hooks, request.source, request.model_dump(mode="json"), by)
 
     def restore_table(self, run_id: str, role: str, source: Source, by: str = "") -> str:
         with naming(self._parts.config):
@@ -116,8 +116,8 @@ class Owner:
         except BaseException:
             self._release()
             raise
-        asked = {"source": source, "of_run": run_id, "role": role, **named(by)}
-        return self._begin(running, job, kind, hooks, asked)
+        asked = {"source": source, "of_run": run_id, "role": role}
+        return self._begin(running, job, kind, hooks, source, asked, by)
 
     def resume_run(self, source: Source, by: str = "") -> str:
         running = self._reserve()
@@ -131,7 +131,7 @@ class Owner:
             raise
         asked = {"source": source, "resumed": True, **named(by)}
         position_set = origin.settings.procedure.position_set
-        self._board.begin_run(origin.run_id, origin.kind.name, requester_of(asked), position_set)
+        self._board.begin_run(origin.run_id, origin.kind.name, source, position_set, by)
         self._launch(running, lambda: self._parts.resume(self.settings.state_directory, hooks, asked=asked))
         return origin.run_id
 
@@ -362,10 +362,19 @@ class Owner:
         self._parts.event_log.publish("note", text, data)
         log.warning(text, hint=error.hint)
 
-    def _begin(self, run: RunMailbox, job: Job, kind: Kind, hooks: RunHooks, asked: Mapping[str, object]) -> str:
-        base = self._parts.config.parent
-        self._board.begin_run(run.run_id, kind.name, requester_of(asked), job.settings.procedure.position_set)
-        self._launch(run, lambda: self._parts.carry_out(job, kind, base, hooks, run_id=run.run_id, asked=asked))
+    def _begin(
+        self,
+        run: RunMailbox,
+        job: Job,
+        kind: Kind,
+        hooks: RunHooks,
+        source: Source,
+        asked: Mapping[str, object],
+        by: str,
+    ) -> str:
+        base, recorded = self._parts.config.parent, {**asked, **named(by)}
+        self._board.begin_run(run.run_id, kind.name, source, job.settings.procedure.position_set, by)
+        self._launch(run, lambda: self._parts.carry_out(job, kind, base, hooks, run_id=run.run_id, asked=recorded))
         return run.run_id
 
     def _slot_minutes(self, request: RunRequest) -> float | None:

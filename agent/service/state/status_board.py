@@ -17,8 +17,10 @@ from agent.execution.steps import ActivateBank, ReadActiveBank, ReadTemperatures
 from agent.notifications.dispatcher import ReceiverState
 from agent.planning.run_phases import HOMING, PREFLIGHT, PROBE_CHECK, QUALIFICATION, REVERSAL, VERIFICATION
 from agent.results.run_outcome import Outcome
+from agent.results.run_requester import BY, requester_of
 from agent.results.run_verdict import RunVerdict, verdict_of
 from agent.runs.reconcile_result import CompensationState, Reconciliation
+from agent.runs.run_request import Source
 from agent.runs.unproved_table import UnprovedTable
 from agent.service.alarms import alarm_of
 from agent.service.allowed_requests import AT_REST, allowed_in
@@ -172,7 +174,7 @@ class StatusBoard:
 
     def reset(self) -> None:
         self._change(alarms=(), fraction=0.0, minutes_left=None, step="", run_id=None, kind=None, started=None)
-        self._change(started_by="", balls=0, touches=0, verdict=None)
+        self._change(source="", by="", balls=0, touches=0, verdict=None)
         self.enter(RunState.IDLE, "reset")
 
     def show_reconciliation(self, result: Reconciliation) -> None:
@@ -199,14 +201,15 @@ class StatusBoard:
 
     # ------------------------------------------------------------------ a run
 
-    def begin_run(self, run_id: str, kind: str, requester: str, position_set: str | None) -> None:
-        """Show a run that begins now. `requester` says who asked for it."""
+    def begin_run(self, run_id: str, kind: str, source: Source, position_set: str | None, by: str = "") -> None:
+        """Show a run that begins now. `by` is the name of who asked for it if it is known."""
         self._change(
             run_id=run_id,
             kind=kind,
             position_set=position_set,
             started=utc_timestamp(),
-            started_by=requester,
+            source=source,
+            by=by,
             step="",
             fraction=0.0,
             minutes_left=None,
@@ -221,7 +224,7 @@ class StatusBoard:
             alarms=(),
         )
         self._unexpected = False
-        self.enter(RunState.PREFLIGHT, f"{kind} requested by {requester}")
+        self.enter(RunState.PREFLIGHT, f"{kind} requested by {requester_of({'source': source, BY: by})}")
 
     def on_announcement(self, announcement: Announcement) -> None:
         """Update the status and the event log with an announcement of the run (state, progress or note)."""

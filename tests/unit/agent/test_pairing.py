@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from agent.cli.service_commands.pair import page_address
 from agent.service.access.access import Access
 from agent.service.access.paired_clients import FILE_NAME, MAX_CLIENTS, PairedClients
 from agent.service.access.pairing_codes import (
@@ -20,11 +22,13 @@ from agent.service.access.pairing_codes import (
     six_digits,
 )
 from agent.service.access.roles import LEAST_ROLE, MACHINE, Requester
+from agent.settings.service import ServiceSettings
 from drivers.clock import VirtualClock
 from drivers.errors import ConfigurationError, UserError
 
 PHONE = Invitation("operator", "phone")
 WRONG = "999999"
+TLS = {"certificate_file": Path("cert.pem"), "key_file": Path("key.pem")}
 
 
 def codes(clock: VirtualClock) -> PairingCodes:
@@ -184,3 +188,19 @@ def test_an_engineer_may_do_what_an_operator_may() -> None:
     assert operator.may < engineer.may == MACHINE.may == set(LEAST_ROLE)
     assert {"start", "hold", "resume", "reset", "give_up"} <= operator.may
     assert not {"restore_table", "check_settings", "diagnostics"} & operator.may
+
+
+@pytest.mark.parametrize(
+    ("service", "url", "address"),
+    [
+        ({}, "http://127.0.0.1:8517", "http://127.0.0.1:8517"),
+        ({"host_names": ["mill-7.local"]}, "http://127.0.0.1:8517", "http://127.0.0.1:8517"),
+        ({"host": "10.0.0.5", "host_names": ["mill-7", "b"], **TLS}, "https://10.0.0.5:443", "https://mill-7:443"),
+        ({"host": "::", "host_names": ["fd00::2"], **TLS}, "https://[::1]:8517", "https://[fd00::2]:8517"),
+        ({"host": "192.0.2.2", **TLS}, "https://192.0.2.2:8517", "https://192.0.2.2:8517"),
+    ],
+)
+def test_the_address_of_the_page_is_one_that_the_client_can_reach(
+    service: dict[str, Any], url: str, address: str
+) -> None:
+    assert page_address(ServiceSettings(**service), url, "123456") == f"{address}/#pair=123456"
