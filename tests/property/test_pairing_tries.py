@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
@@ -74,3 +75,4 @@ class PairingTries(RuleBasedStateMachine):
 
 
 TestPairingTries = PairingTries.TestCase
+TestPairingTries.settings = settings(max_examples=60, stateful_step_count=40, deadline=None)
