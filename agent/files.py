@@ -71,15 +71,18 @@ def translated(error: type[VolcalError] = InputError, **where: str | int) -> Ite
         raise error(cause.message, hint=cause.hint, **cause.where).at(**where) from cause
 
 
-def write_atomically(path: Path, text: str) -> None:
+def write_atomically(path: Path, text: str, mode: int = FILE_MODE) -> None:
     """Write `text` to the file `path`, so that it is on the disk when the function returns.
 
-    If the write is interrupted, the file at `path` contains either its old text or the new text.
+    If the write is interrupted, the file at `path` contains either its old text or the new text. `mode` contains the
+    permission bits of the file.
     """
-    write_all_atomically(path.parent, {path.name: text})
+    write_all_atomically(path.parent, {path.name: text}, mode=mode)
 
 
-def write_all_atomically(directory: Path, contents: Mapping[str, str | bytes], removed: Iterable[str] = ()) -> None:
+def write_all_atomically(
+    directory: Path, contents: Mapping[str, str | bytes], removed: Iterable[str] = (), mode: int = FILE_MODE
+) -> None:
     """Write several files into `directory`, which is created if it is missing. `contents` maps file names to contents.
 
     All files are written completely to the disk under temporary names before the first file is renamed. If a file
@@ -93,7 +96,7 @@ def write_all_atomically(directory: Path, contents: Mapping[str, str | bytes], r
             target = directory / name
             if target.is_dir():
                 raise InputError("there is a directory in place of a file to be written", file=str(target))
-            staged[target] = _stage(directory, name, content)
+            staged[target] = _stage(directory, name, content, mode)
         for target, temporary in staged.items():
             temporary.replace(target)
         for name in removed:
@@ -171,13 +174,13 @@ def streamed_atomically(path: Path) -> Iterator[TextIO]:
         temporary.unlink(missing_ok=True)
 
 
-def _stage(directory: Path, name: str, content: str | bytes) -> Path:
+def _stage(directory: Path, name: str, content: str | bytes, mode: int) -> Path:
     handle, temporary = tempfile.mkstemp(dir=directory, prefix=f".{name}.")
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(content.encode() if isinstance(content, str) else content)
             file.flush()
-            os.fchmod(file.fileno(), FILE_MODE)
+            os.fchmod(file.fileno(), mode)
             os.fsync(file.fileno())
     except BaseException:
         Path(temporary).unlink(missing_ok=True)

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from agent.history.trends import Trend
 
 MB = 1e6
-RUN_COLUMNS = ("run", "kind", "verdict", "min", "VE", "VCE", "held out before", "after")
+RUN_COLUMNS = ("run", "kind", "verdict", "min", "VE", "VCE", "held out before", "after", "started by")
 _machine = click.option("--machine", metavar="NAME", help="Another machine in the same database.")
 _json = click.option("--json", "as_json_object", is_flag=True, help="Print one JSON object on stdout.")
 
@@ -201,6 +201,7 @@ def _cells(run: StoredRun) -> list[str]:
         f"{verdict.sign} {verdict.word['en']}",
         f"{run.machine_minutes:.1f}",
         *("-" if value is None else f"{value:.2f}" for value in figures),
+        run.started_by,
     ]
 
 

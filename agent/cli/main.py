@@ -102,6 +102,11 @@ OWN_COMMANDS = {
         "agent.cli.notify:notify_command",
         "Send a test notice to every receiver of the settings, once and without the service.",
     ),
+    "pair": OwnCommand(
+        "agent.cli.service_commands.pair:pair_command",
+        "Show a code with which a panel or a phone may use the page.",
+        logs=False,
+    ),
     "plan": OwnCommand(
         "agent.cli.run_commands.plan:plan_command",
         "Run the preflight of the whole procedure: limits, collisions, minutes and the expected VCE.",

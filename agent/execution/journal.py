@@ -93,13 +93,13 @@ class Journal:
         recorded = read_replay_log(reader, run)
         return RunJournal(self._connection, run, run_id, clock, recorded), recorded
 
-    def acknowledge(self, run_id: str) -> None:
-        """Record durably that a person has acknowledged the end of the run `run_id`.
+    def acknowledge(self, run_id: str, record: Mapping[str, Any]) -> None:
+        """Record durably that a person has acknowledged the end of the run `run_id`; `record` may say who.
 
         The acknowledgement is stored as an event that is not part of the procedure, so the run can still be resumed.
         Raises JournalFailed if the event cannot be written.
         """
-        self._insert_after_end(run_id, "acknowledged", {}, "the reset")
+        self._insert_after_end(run_id, "acknowledged", record, "the reset")
 
     def record_alarm(self, run_id: str, record: Mapping[str, Any]) -> None:
         """Record durably the alarm with which the run `run_id` ended, in the same way as an acknowledgement."""

@@ -14,6 +14,7 @@ from typing import Any
 from agent.execution.run_record import RunRecord
 from agent.execution.stored_json import damage_reported, stored_json
 from agent.results.decision_kinds import CONFIRMED, IDENTIFIED, INPUTS, OUTCOME, PROOF
+from agent.results.run_requester import requester_of
 from agent.results.run_verdict import run_figures
 from drivers.errors import InputError
 from twin.units import MICRO_UNITS
@@ -91,9 +92,9 @@ def _run(record: RunRecord, estimate: Mapping[str, Any] | None) -> dict[str, Any
 
 
 def _started_by(record: RunRecord) -> str:
-    """Return the source of the first request for the run. A run that was resumed has several requests."""
+    """Return who asked first for the run. A run that was resumed has several requests."""
     asked = [note.record for note in record.events if note.kind == "asked"]
-    return str((asked[0] if asked else {}).get("source", "command line"))
+    return requester_of(asked[0] if asked else None)
 
 
 def _errors(record: RunRecord, outcome: Mapping[str, Any]) -> dict[str, Any]:

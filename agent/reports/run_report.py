@@ -43,6 +43,7 @@ from agent.results.facts import ArtefactFacts, ProbeFacts, ProbeRing, Quantity, 
 from agent.results.gates import Gate
 from agent.results.homing_scatter import HomingScatter, after_homing_text
 from agent.results.run_outcome import Decision
+from agent.results.run_requester import requester_of
 from agent.results.run_verdict import RunVerdict, run_figures, verdict_of
 from agent.results.travel_parts import TravelParts
 from agent.thermal.thermometer import ThermometerFacts
@@ -262,9 +263,8 @@ _RING_ARRAYS = ("angle_deg", "residual_um", "map_angle_deg", "map_um")
 
 
 def _provenance(record: RunRecord, inputs: Mapping[str, Any]) -> Provenance:
-    asked = record.event("asked") or {}
     return Provenance(
-        started_by=str(asked.get("source", "command line")),
+        started_by=requester_of(record.event("asked")),
         files=tuple((file["name"], file["sha256"]) for file in inputs["files"]),
         settings_sha256=hashlib.sha256(record.settings_text.encode()).hexdigest(),
     )

@@ -50,12 +50,16 @@ class Client:
     def __exit__(self, *_: object) -> None:
         self._http.close()
 
-    def get(self, path: str) -> Document:
-        return self._request("GET", path, None, {})
+    @property
+    def url(self) -> str:
+        """Address at which this computer reaches the service."""
+        return str(self._http.base_url).rstrip("/")
+
+    def get(self, path: str, *, token: bool = False) -> Document:
+        return self._request("GET", path, None, self._authorization() if token else {})
 
     def post(self, path: str, body: Mapping[str, Any] | None = None, *, token: bool = True) -> Document:
-        headers = {"Authorization": f"Bearer {read_token(token_path(self.settings))}"} if token else {}
-        return self._request("POST", path, body, headers)
+        return self._request("POST", path, body, self._authorization() if token else {})
 
     def events(self, after: int | None = None) -> Iterator[tuple[str, Document]]:
         """Yield the status of the service and then every event of the service, each as a pair (kind, document).
@@ -77,6 +81,9 @@ class Client:
         except httpx.TransportError as error:
             raise self._lost(error) from error
         raise LinkLost("the service has stopped", link=str(self._http.base_url))
+
+    def _authorization(self) -> dict[str, str]:
+        return {"Authorization": f"Bearer {read_token(token_path(self.settings))}"}
 
     def _request(self, method: str, path: str, body: Mapping[str, Any] | None, headers: dict[str, str]) -> Document:
         try:

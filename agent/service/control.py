@@ -72,6 +72,8 @@ class Status:
       completed part, from 0 to 1, and `phase_minutes_left` its remaining time in min, machine time or, in a preflight,
       the time of the computation; None if it is not known.
     - `simulated_steps` is the number of steps that the preflight of the run has simulated so far.
+    - `source` is the source of the request for the run, and `by` the name of the client that sent it if it is known;
+      both are empty after a reset and after a restart of the service.
     - `ve_before_um` and `ve_now_um` are the volumetric errors (VE) without and with the compensation table, according
       to the last accepted estimate; both are in µm, after the best-fitting rigid motion is removed.
     - `may` contains the requests that are allowed now (``start``, ``hold``, ``resume``, ``abort``, ``reset``,
@@ -95,6 +97,8 @@ class Status:
     kind: str | None = None
     position_set: str | None = None
     started: str | None = None
+    source: str = ""
+    by: str = ""
     doing: str = ""
     step: str = ""
     fraction: float = 0.0
@@ -136,11 +140,14 @@ class Event:
 
 
 class Control(Protocol):
-    """Interface through which every endpoint uses the owner of the machine, the object that alone controls it."""
+    """Interface through which every endpoint uses the owner of the machine, the object that alone controls it.
+
+    `by` is the name of the client that sent the request, which is recorded; it is empty if the client has no name.
+    """
 
     def status(self) -> Status: ...
 
-    def start(self, request: RunRequest) -> str:
+    def start(self, request: RunRequest, by: str = "") -> str:
         """Start a run and return its identity.
 
         Raise Busy, with the name of the run in progress, if another run is in progress. Raise UserError if the request
@@ -153,7 +160,7 @@ class Control(Protocol):
         """
         ...
 
-    def resume_run(self, source: Source) -> str:
+    def resume_run(self, source: Source, by: str = "") -> str:
         """Resume the interrupted run and return its identity.
 
         Raise UserError if there is no interrupted run, and Busy, DeviceError or PermissionMissing in the same cases as
@@ -161,7 +168,7 @@ class Control(Protocol):
         """
         ...
 
-    def restore_table(self, run_id: str, role: str, source: Source) -> str:
+    def restore_table(self, run_id: str, role: str, source: Source, by: str = "") -> str:
         """Reactivate the compensation table that the run `run_id` stored in the role `role` (``backup``, ``staged`` or
         ``restored``).
 
@@ -170,7 +177,7 @@ class Control(Protocol):
         """
         ...
 
-    def restore_former(self) -> None:
+    def restore_former(self, by: str = "") -> None:
         """Try to reactivate the former table in place of an unproved one. The run that wrote that one can still be
         resumed, which proves it. Nothing moves.
 
@@ -179,7 +186,7 @@ class Control(Protocol):
         """
         ...
 
-    def give_up(self) -> None:
+    def give_up(self, by: str = "") -> None:
         """Do the same as `restore_former`, and end the run: it can no longer be resumed.
 
         Raise StoreError if the former table could not be reactivated; its text says which table is active, and its hint
@@ -187,19 +194,19 @@ class Control(Protocol):
         """
         ...
 
-    def hold(self) -> None: ...
+    def hold(self, by: str = "") -> None: ...
 
-    def resume(self) -> None: ...
+    def resume(self, by: str = "") -> None: ...
 
     def abort(self, reason: str) -> None:
         """Abort the run in progress. This request is always allowed; between runs it has no effect."""
         ...
 
-    def reset(self) -> None:
+    def reset(self, by: str = "") -> None:
         """Acknowledge a fault: clear the alarms and return to the state idle. Nothing moves."""
         ...
 
-    def answer(self, number: int, yes: bool) -> None:
+    def answer(self, number: int, yes: bool, by: str = "") -> None:
         """Answer the open question that has the number `number`. Raise UserError if no question with this number is
         open."""
         ...

@@ -55,9 +55,10 @@ def bank_shown(page: Page) -> str:
 
 def test_a_calibration_by_hand_a_night_and_a_table_taken_back(page: Page, house: Service) -> None:
     begin(page, "calibrate")
+    page.click("dialog summary")
     page.fill("input[name=token]", "a wrong one")
     page.click("dialog button[type=submit]")
-    expect(page.locator("dialog p")).to_contain_text("rejected this token")
+    expect(page.locator("dialog form > p")).to_contain_text("rejected this token")
     page.fill("input[name=token]", house.token)
     page.click("dialog button[type=submit]")
     state_is(page, "preflight", "measuring")

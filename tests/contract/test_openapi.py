@@ -15,14 +15,13 @@ def test_the_committed_document_matches_the_application() -> None:
     assert json.loads(COMMITTED.read_text(encoding="utf-8")) == openapi_document()
 
 
-def test_commands_need_the_token_except_abort() -> None:
+def test_commands_need_a_token_except_abort_and_pairing() -> None:
     paths = openapi_document()["paths"]
     posts = {path: entry["post"] for path, entry in paths.items() if "post" in entry}
     guarded = {path for path, entry in posts.items() if entry.get("security")}
-    assert set(posts) - guarded == {"/api/abort"}
-    assert [path for path, entry in paths.items() if "get" in entry and entry["get"].get("security")] == [
-        "/api/diagnostics"
-    ]
+    assert set(posts) - guarded == {"/api/abort", "/api/pair"}
+    reading = {path for path, entry in paths.items() if "get" in entry and entry["get"].get("security")}
+    assert reading == {"/api/diagnostics", "/api/access", "/api/pairing/clients"}
 
 
 def test_the_reference_page_names_every_path() -> None:

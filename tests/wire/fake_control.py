@@ -27,6 +27,7 @@ class FakeControl:
     def begin_anew(self) -> None:
         """Restart as the service does at start-up; subscribers stay subscribed."""
         self.asked: list[tuple[str, Any]] = []
+        self.by = ""
         self.runs = 0
         self._status = Status("mill-7", RunState.IDLE, PACKML[RunState.IDLE], may=frozenset({"start"}))
 
@@ -51,7 +52,8 @@ class FakeControl:
     def status(self) -> Status:
         return self._status
 
-    def start(self, request: RunRequest) -> str:
+    def start(self, request: RunRequest, by: str = "") -> str:
+        self.by = by
         if self._status.state in (RunState.FAULTED, RunState.ABORTED):
             raise PermissionMissing("reset first")
         if self._status.state not in AT_REST:
@@ -63,19 +65,23 @@ class FakeControl:
         self.asked.append(("start", request))
         return self._begin(request.kind, request.position_set)
 
-    def resume_run(self, source: Source) -> str:
+    def resume_run(self, source: Source, by: str = "") -> str:
+        self.by = by
         if self._status.unfinished is None:
             raise UserError("there is no unfinished run")
         self.asked.append(("resume_run", source))
         return self._begin("calibrate", None)
 
-    def restore_former(self) -> None:
+    def restore_former(self, by: str = "") -> None:
+        self.by = by
         self.asked.append(("restore_former", None))
 
-    def give_up(self) -> None:
+    def give_up(self, by: str = "") -> None:
+        self.by = by
         self.asked.append(("give_up", None))
 
-    def restore_table(self, run_id: str, role: str, source: Source) -> str:
+    def restore_table(self, run_id: str, role: str, source: Source, by: str = "") -> str:
+        self.by = by
         self.asked.append(("restore_table", (run_id, role, source)))
         return self._begin("restore", None)
 
@@ -85,12 +91,14 @@ class FakeControl:
         self.now(RunState.MEASURING, run_id=run, kind=kind, position_set=position_set, may=frozenset({"hold", "abort"}))
         return run
 
-    def hold(self) -> None:
+    def hold(self, by: str = "") -> None:
+        self.by = by
         self.asked.append(("hold", None))
         if self._status.state is RunState.MEASURING:
             self.now(RunState.HELD)
 
-    def resume(self) -> None:
+    def resume(self, by: str = "") -> None:
+        self.by = by
         if self._status.state is RunState.IDLE:
             raise NotAllowedInState("resume is not allowed in state idle", hint="only a run that is held")
         self.asked.append(("resume", None))
@@ -102,11 +110,13 @@ class FakeControl:
         if self._status.state in (RunState.MEASURING, RunState.HELD):
             self.now(RunState.ABORTED, may=frozenset({"reset"}))
 
-    def reset(self) -> None:
+    def reset(self, by: str = "") -> None:
+        self.by = by
         self.asked.append(("reset", None))
         self.now(RunState.IDLE, alarms=(), may=frozenset({"start"}))
 
-    def answer(self, number: int, yes: bool) -> None:
+    def answer(self, number: int, yes: bool, by: str = "") -> None:
+        self.by = by
         question = self._status.question
         if question is None or question.number != number:
             raise UserError(f"there is no question {number}")

@@ -15,6 +15,9 @@ import pytest
 from fake_control import FakeControl
 from waiting import PATIENCE_S
 
+from agent.service.access.access import Access
+from agent.service.access.paired_clients import PairedClients
+from agent.service.access.pairing_codes import PairingCodes
 from agent.service.control import Status
 from agent.service.http import connections
 from agent.service.http.app import create_app
@@ -24,6 +27,7 @@ from agent.service.http.guard import MAX_REQUESTS
 from agent.service.page.static_files import mount_page
 from agent.service.state.event_log import EventLog
 from agent.settings.service import ServiceSettings
+from drivers.clock import RealClock
 
 STATUS_REQUEST = b"GET /api/status HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
 EVENTS_REQUEST = b"GET /api/events HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
@@ -47,7 +51,8 @@ class Served:
         self.control = SlowControl()
         self.event_log = EventLog()
         unused: Any = None
-        state = AppState(self.control, self.event_log, unused, unused, unused, Path("volcal.toml"), "secret")
+        access = Access("secret", PairedClients(Path("nowhere")), PairingCodes(RealClock().now))
+        state = AppState(self.control, self.event_log, unused, unused, unused, Path("volcal.toml"), access)
         self._server = HttpServer(ServiceSettings(port=0))
         self._server.serve(create_app(state, extensions=[mount_page]))
         self.url = self._server.url

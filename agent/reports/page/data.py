@@ -202,7 +202,8 @@ class NightFacts:
 class Provenance:
     """Origin of a run.
 
-    `started_by` is the source of the request. `files` contains the name and the SHA-256 of each input file.
+    `started_by` is the source of the request, with the name of the client if it is known. `files` contains the name and
+    the SHA-256 of each input file.
     """
 
     started_by: str

@@ -13,6 +13,9 @@ from fastapi import FastAPI
 
 from agent.execution.run_lock import Ownership, ownership
 from agent.model_files import load_machine
+from agent.service.access.access import Access
+from agent.service.access.paired_clients import PairedClients
+from agent.service.access.pairing_codes import PairingCodes
 from agent.service.control import Control
 from agent.service.daemon.endpoints import further_endpoints, http_extensions, open_endpoints
 from agent.service.daemon.main_loop import MainLoop, queued_signals
@@ -59,7 +62,7 @@ def serve(config: Path, circumstances: Callable[[], Circumstances] = current_cir
         make_token(settings)
         parts = _owner_parts(settings, config, owned, circumstances)
         owner = Owner(settings, parts)
-        token = read_token(token_path(settings))
+        access = Access(read_token(token_path(settings)), PairedClients(directory), PairingCodes(RealClock().now))
         app_state = AppState(
             owner,
             parts.event_log,
@@ -67,7 +70,7 @@ def serve(config: Path, circumstances: Callable[[], Circumstances] = current_cir
             parts.live_view,
             lambda: owner.settings,
             config,
-            token,
+            access,
         )
 
         def make_app(_: Control) -> FastAPI:

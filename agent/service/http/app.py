@@ -8,7 +8,7 @@ from importlib.metadata import version
 
 from fastapi import FastAPI
 
-from agent.service.http import commands, diagnostics, events, problems, queries
+from agent.service.http import commands, diagnostics, events, pairing, problems, queries
 from agent.service.http.app_state import AppState
 from agent.service.http.guard import Guard
 
@@ -28,7 +28,6 @@ def create_app(app_state: AppState, names: Collection[str] = (), extensions: Seq
         redoc_url=None,
     )
     app.state.app_state = app_state
-    app.state.token = app_state.token
     app.add_middleware(Guard, names=names)
     problems.install(app)
     add_endpoints(app)
@@ -38,5 +37,6 @@ def create_app(app_state: AppState, names: Collection[str] = (), extensions: Seq
 
 
 def add_endpoints(app: FastAPI) -> None:
-    for router in (queries.router, events.router, commands.without_token, commands.with_token, diagnostics.router):
+    routers = (queries.router, events.router, commands.without_token, commands.with_token)
+    for router in (*routers, diagnostics.router, pairing.without_token, pairing.with_token, pairing.of_machine):
         app.include_router(router)

@@ -9,6 +9,7 @@ from typing import Annotated
 
 from fastapi import Depends, Request
 
+from agent.service.access.access import Access
 from agent.service.control import Control
 from agent.service.state.archive import Archive
 from agent.service.state.event_log import EventLog
@@ -18,8 +19,8 @@ from agent.settings.schema import Settings
 
 @dataclass(frozen=True)
 class AppState:
-    """State shared by all routes. `settings` is a function that returns the settings for the next run; `token` is the
-    access token that commands require; `config` is the path of the settings file."""
+    """State shared by all routes. `settings` is a function that returns the settings for the next run; `config` is
+    the path of the settings file; `access` says who may send which request."""
 
     control: Control
     event_log: EventLog
@@ -27,7 +28,7 @@ class AppState:
     live_view: LiveView
     settings: Callable[[], Settings]
     config: Path
-    token: str
+    access: Access
 
 
 async def app_state_of(request: Request) -> AppState:

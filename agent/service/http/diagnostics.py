@@ -13,20 +13,21 @@ from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any
 
-from fastapi import APIRouter, Depends
+from fastapi import APIRouter
 from fastapi.responses import Response
 
 from agent.execution.journal_copy import copy_journal
 from agent.execution.journal_reader import has_journal
 from agent.execution.journal_schema import FILE_NAME
+from agent.service.access.roles import DIAGNOSTICS
 from agent.service.control import Event
 from agent.service.http.app_state import AppStateDependency
-from agent.service.http.guard import require_token
+from agent.service.http.permission import permitted
 from agent.service.http.problems import DOCUMENTED
 from agent.service.http.queries import status_now
 from agent.settings.schema import Settings
 
-router = APIRouter(prefix="/api", tags=["reading"], responses=DOCUMENTED, dependencies=[Depends(require_token)])
+router = APIRouter(prefix="/api", tags=["reading"], responses=DOCUMENTED, dependencies=[permitted(DIAGNOSTICS)])
 REMOVED = "(removed)"
 _SECRET = re.compile(r"pass|secret|token|credential|private|api_?key|pin$|user", re.IGNORECASE)
 
@@ -34,7 +35,7 @@ _SECRET = re.compile(r"pass|secret|token|credential|private|api_?key|pin$|user",
 @router.get("/diagnostics", response_class=Response)
 def diagnostics(app_state: AppStateDependency) -> Response:
     """Return a ZIP file with status, events, versions, settings and journal, from which secrets are removed. The
-    request requires the access token, because the file contains everything known about the machine."""
+    request requires the role engineer, because the file contains everything known about the machine."""
     _, events = app_state.event_log.since(0)
     content = diagnostics_zip(app_state.settings(), status_now(app_state).model_dump(mode="json"), events)
     headers = {"Content-Disposition": 'attachment; filename="volcal-diagnostics.zip"'}

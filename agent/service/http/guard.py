@@ -1,5 +1,5 @@
 """Checks of every HTTP request before it is processed. The host name, the origin, the size and the number of requests
-in progress are checked.
+in progress are checked. Which token a request needs is said in `agent.service.http.permission`.
 
 A foreign web page that is open in the browser of the operating panel can send requests to loopback. Such a page does
 not have the access token of the service, so it cannot send commands. A foreign `Host` header indicates DNS rebinding,
@@ -9,14 +9,10 @@ only read.
 
 from __future__ import annotations
 
-import secrets
 from collections.abc import Collection
 from http import HTTPStatus
-from typing import Annotated
 from urllib.parse import urlsplit
 
-from fastapi import Depends, Request
-from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -99,30 +95,6 @@ _TOO_MANY = _problem(
     f"the service already processes {MAX_REQUESTS} requests",
     "close other pages and programs that use the service; an abort is accepted all the same",
 )
-_BEARER = HTTPBearer(auto_error=False, description="Content of the file `service.token_file`.")
-
-
-def _token_of(request: Request) -> str:
-    """Return the token of the application, whichever of our applications it is."""
-    return str(request.app.state.token)
-
-
-def require_token(
-    token: Annotated[str, Depends(_token_of)], given: Annotated[HTTPAuthorizationCredentials | None, Depends(_BEARER)]
-) -> None:
-    """Refuse a request without the valid access token of the service. This function is a dependency of all command
-    endpoints that require it."""
-    if given is None:
-        raise RequestRefused(
-            HTTPStatus.UNAUTHORIZED,
-            "the token is required",
-            "send it as `Authorization: Bearer …`; it is stored in the file `service.token_file`",
-            {"WWW-Authenticate": "Bearer"},
-        )
-    if not secrets.compare_digest(given.credentials.encode(), token.encode()):
-        raise RequestRefused(
-            HTTPStatus.FORBIDDEN, "the token is wrong", "it is stored in the file `service.token_file`"
-        )
 
 
 def _limit_body(receive: Receive) -> Receive:

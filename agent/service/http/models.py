@@ -8,6 +8,8 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveInt
 
 from agent.execution.states import RunState
 from agent.runs.run_request import RunRequest
+from agent.service.access.pairing_codes import DIGITS, MAX_MINUTES
+from agent.service.access.roles import Role
 from agent.service.control import Status
 
 
@@ -52,6 +54,59 @@ class SettingsBody(RequestBody):
     """Text of a settings file to be validated. The text is not stored."""
 
     toml: str = Field(max_length=60_000)
+
+
+class PairingCodeBody(RequestBody):
+    """Client to be paired: its role, its name (null: one is made from the role), and the validity of the code in
+    min."""
+
+    role: Role = "operator"
+    name: str | None = Field(default=None, max_length=200)
+    minutes: float = Field(default=5.0, ge=1.0, le=MAX_MINUTES)
+
+
+class PairBody(RequestBody):
+    code: str = Field(pattern=rf"^[0-9]{{{DIGITS}}}$")
+
+
+class RevokeBody(RequestBody):
+    name: str = Field(min_length=1, max_length=200)
+
+
+class PairingCode(BaseModel):
+    """Code that a client can exchange for a token of its own until `ends` (UTC)."""
+
+    code: str
+    ends: str
+    role: Role
+    name: str
+
+
+class AccessView(BaseModel):
+    """Client that has the token of the request. `name` is empty for the token of the machine. `may` lists the requests
+    that its role permits, by the names that the status uses; the state of the run may still forbid them."""
+
+    role: Role
+    name: str
+    may: list[str]
+
+
+class PairedView(AccessView):
+    """Client that was just paired, with its token. The token is not told again."""
+
+    token: str
+
+
+class PairedClientView(BaseModel):
+    """Paired client, with the UTC time of its pairing."""
+
+    name: str
+    role: Role
+    paired: str
+
+
+class PairedClientList(BaseModel):
+    clients: list[PairedClientView]
 
 
 class RunStarted(BaseModel):
@@ -151,6 +206,8 @@ class StatusView(BaseModel):
     kind: str | None
     position_set: str | None
     started: str | None
+    source: str
+    by: str
     doing: str
     step: str
     fraction: float

@@ -53,9 +53,16 @@ class RequestRefused(Exception):
     """Error raised if the HTTP endpoint itself refuses a request, before the request reaches the `Control` of the
     service."""
 
-    def __init__(self, status: HTTPStatus, detail: str, hint: str = "", headers: dict[str, str] | None = None) -> None:
+    def __init__(
+        self,
+        status: HTTPStatus,
+        detail: str,
+        hint: str = "",
+        headers: dict[str, str] | None = None,
+        title: str | None = None,
+    ) -> None:
         super().__init__(detail)
-        self.problem = Problem(title=status.phrase, status=status, detail=detail, hint=hint)
+        self.problem = Problem(title=title or status.phrase, status=status, detail=detail, hint=hint)
         self.headers = headers
 
 

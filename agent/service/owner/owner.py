@@ -17,6 +17,7 @@ from agent.model_files import load_machine
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
 from agent.printable import one_line
+from agent.results.run_requester import named
 from agent.runs.kinds.restoration import TABLE_ROLES, Restoration, stored_table
 from agent.runs.planned_run import Kind
 from agent.runs.reconcile_result import Reconciliation
@@ -83,7 +84,7 @@ class Owner:
     def subscribe(self) -> AbstractContextManager[Queue[Event]]:
         return self._parts.event_log.subscribe()
 
-    def start(self, request: RunRequest) -> str:
+    def start(self, request: RunRequest, by: str = "") -> str:
         try:
             with naming(self._parts.config):
                 job = job_of(request, self.settings, self._parts.config.parent)
@@ -101,9 +102,9 @@ class Owner:
             if isinstance(error, VolcalError):
                 self._note_not_started(request, error)
             raise
-        return self._begin(running, job, kind, hooks, request.source, request.model_dump(mode="json"))
+        return self._begin(running, job, kind, hooks, request.source, request.model_dump(mode="json"), by)
 
-    def restore_table(self, run_id: str, role: str, source: Source) -> str:
+    def restore_table(self, run_id: str, role: str, source: Source, by: str = "") -> str:
         with naming(self._parts.config):
             job = prepare_job(self.settings, self._parts.config.parent)
         stored_table(self.settings.state_directory, run_id, role)
@@ -115,9 +116,10 @@ class Owner:
         except BaseException:
             self._release()
             raise
-        return self._begin(running, job, kind, hooks, source, {"source": source, "of_run": run_id, "role": role})
+        asked = {"source": source, "of_run": run_id, "role": role}
+        return self._begin(running, job, kind, hooks, source, asked, by)
 
-    def resume_run(self, source: Source) -> str:
+    def resume_run(self, source: Source, by: str = "") -> str:
         running = self._reserve()
         try:
             self.reconcile()
@@ -127,21 +129,23 @@ class Owner:
         except BaseException:
             self._release()
             raise
-        asked = {"source": source, "resumed": True}
-        self._board.begin_run(origin.run_id, origin.kind.name, source, origin.settings.procedure.position_set)
+        asked = {"source": source, "resumed": True, **named(by)}
+        position_set = origin.settings.procedure.position_set
+        self._board.begin_run(origin.run_id, origin.kind.name, source, position_set, by)
         self._launch(running, lambda: self._parts.resume(self.settings.state_directory, hooks, asked=asked))
         return origin.run_id
 
-    def restore_former(self) -> None:
-        self._settle(allowed_requests.RESTORE_FORMER, self._parts.machine.reconcile)
+    def restore_former(self, by: str = "") -> None:
+        self._settle(allowed_requests.RESTORE_FORMER, by, self._parts.machine.reconcile)
 
-    def give_up(self) -> None:
+    def give_up(self, by: str = "") -> None:
         def give_up(settings: Settings, base: Path) -> Reconciliation:
-            return self._parts.machine.give_up(settings, base, "given up at an endpoint of the service")
+            reason = f"asked by {by}" if by else "given up at an endpoint of the service"
+            return self._parts.machine.give_up(settings, base, reason)
 
-        self._settle(allowed_requests.GIVE_UP, give_up)
+        self._settle(allowed_requests.GIVE_UP, by, give_up)
 
-    def _settle(self, what: str, act: Callable[[Settings, Path], Reconciliation]) -> None:
+    def _settle(self, what: str, by: str, act: Callable[[Settings, Path], Reconciliation]) -> None:
         """Carry out a way out of an unproved table or of an unfinished run that needs no run. Raise StoreError if the
         table is still active, or if the run that is given up is still unfinished."""
         with self._changed:
@@ -152,6 +156,7 @@ class Owner:
                 "it is allowed between runs, after a reset, while a table is active that was never proved; "
                 "a run can also be given up while it is unfinished",
             )
+            self._note(f"{_SETTLING[what]} requested", by)
             found = act(self.settings, self._parts.config.parent)
             self._show(found)
             if found.unproved is not None:
@@ -160,31 +165,32 @@ class Owner:
             if what == allowed_requests.GIVE_UP and found.unfinished is not None:
                 raise StoreError(f"the run is still unfinished: {found.state.value}", hint=found.instruction)
 
-    def hold(self) -> None:
+    def hold(self, by: str = "") -> None:
         self._require(allowed_requests.HOLD, "a run can be held only while it is moving")
-        self._on_running(RunMailbox.hold, "hold requested")
+        self._on_running(RunMailbox.hold, "hold requested", by)
 
-    def resume(self) -> None:
+    def resume(self, by: str = "") -> None:
         self._require(allowed_requests.RESUME, "only a run that is held can be resumed")
-        self._on_running(RunMailbox.resume, "resume requested")
+        self._on_running(RunMailbox.resume, "resume requested", by)
 
     def abort(self, reason: str) -> None:
         said = one_line(reason, MAX_REASON)
-        self._on_running(lambda running: running.abort(said), f"abort requested: {said}")
+        self._on_running(lambda running: running.abort(said), f"abort requested: {said}", "")
 
-    def reset(self) -> None:
+    def reset(self, by: str = "") -> None:
         with self._changed:
             self._await_reading()
             self._require_nothing_runs()
             if self._board.state in allowed_requests.STICKY or self._board.status().alarms:
-                self._parts.journal_state.acknowledge(self._board.status().run_id)
+                self._parts.journal_state.acknowledge(self._board.status().run_id, by)
             if self._board.state is not RunState.IDLE or self._board.status().alarms:
                 self._reconciled = self._reconciled and not self._board.status().alarms  # its cause may still stand
                 self._board.reset()
             self.reconcile_if_reached()
 
-    def answer(self, number: int, yes: bool) -> None:
+    def answer(self, number: int, yes: bool, by: str = "") -> None:
         self._questions.answer(number, yes)
+        self._note(f"question {number} answered with {'yes' if yes else 'no'}", by)
 
     # ------------------------------------------------------------------ for the service itself
 
@@ -357,11 +363,18 @@ class Owner:
         log.warning(text, hint=error.hint)
 
     def _begin(
-        self, run: RunMailbox, job: Job, kind: Kind, hooks: RunHooks, source: Source, asked: Mapping[str, object]
+        self,
+        run: RunMailbox,
+        job: Job,
+        kind: Kind,
+        hooks: RunHooks,
+        source: Source,
+        asked: Mapping[str, object],
+        by: str,
     ) -> str:
-        base = self._parts.config.parent
-        self._board.begin_run(run.run_id, kind.name, source, job.settings.procedure.position_set)
-        self._launch(run, lambda: self._parts.carry_out(job, kind, base, hooks, run_id=run.run_id, asked=asked))
+        base, recorded = self._parts.config.parent, {**asked, **named(by)}
+        self._board.begin_run(run.run_id, kind.name, source, job.settings.procedure.position_set, by)
+        self._launch(run, lambda: self._parts.carry_out(job, kind, base, hooks, run_id=run.run_id, asked=recorded))
         return run.run_id
 
     def _slot_minutes(self, request: RunRequest) -> float | None:
@@ -456,12 +469,24 @@ class Owner:
         if what not in status.may:
             raise NotAllowedInState(f"{what} is not allowed in state {status.state.value}", hint=why)
 
-    def _on_running(self, action: Callable[[RunMailbox], None], text: str) -> None:
+    def _on_running(self, action: Callable[[RunMailbox], None], text: str, by: str) -> None:
         with self._changed:
             if self._running is not None:
                 action(self._running)
-                self._parts.event_log.publish("note", text)
-                log.info(text)
+                self._note(text, by)
+
+    def _note(self, text: str, by: str) -> None:
+        """Tell and log what was requested, and by whom if the client has a name."""
+        told = f"{text} by {by}" if by else text
+        self._parts.event_log.publish("note", told)
+        log.info(told)
+
+
+_SETTLING = {
+    allowed_requests.RESTORE_FORMER: "reactivation of the former table",
+    allowed_requests.GIVE_UP: "end of the unfinished run",
+}
+"""What a request to settle an unfinished run asks for, in words."""
 
 
 def _end_of(error: VolcalError) -> RunState:

@@ -15,7 +15,8 @@ from pydantic import BaseModel, ConfigDict, StringConstraints
 from agent.planning.new_machine.field import LONGEST_TEXT
 from agent.planning.new_machine.fields import SETUP_FIELDS, STEPS, catalogue
 from agent.service.http import problems
-from agent.service.http.guard import Guard, require_token
+from agent.service.http.guard import Guard
+from agent.service.http.permission import require_token
 from agent.service.http.problems import DOCUMENTED
 from agent.service.page.static_files import mount_document
 from agent.service.setup.axis_check import Direction, Part

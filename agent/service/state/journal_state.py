@@ -15,6 +15,7 @@ from agent.execution.journal_reader import JournalReader, has_journal, open_jour
 from agent.execution.journal_rows import RunRow
 from agent.execution.states import FINAL, RunState
 from agent.planning.job_preparation import prepare_job
+from agent.results.run_requester import named
 from agent.results.run_verdict import UNFINISHED, RunVerdict, run_figures, verdict_of
 from agent.runs.reconcile import unproved_table
 from agent.runs.reference_state import ACTIVATING_DECISIONS, reference_for
@@ -108,13 +109,13 @@ class JournalState:
         with open_journal(self.directory, JournalFailed) as reader:
             return reader.last_event_number(reader.require_run(run_id).run, "state")
 
-    def acknowledge(self, run_id: str | None) -> None:
-        """Record in the journal that the end of a run is acknowledged. Raise JournalFailed if the record cannot be
-        written."""
+    def acknowledge(self, run_id: str | None, by: str = "") -> None:
+        """Record in the journal that the end of a run is acknowledged, and by whom unless `by` is empty. Raise
+        JournalFailed if the record cannot be written."""
         if run_id is None or not has_journal(self.directory):
             return
         with closing(Journal(self.directory)) as journal:
-            journal.acknowledge(run_id)
+            journal.acknowledge(run_id, named(by))
 
     def record_alarm(self, run_id: str, alarm: Alarm) -> None:
         """Record in the journal the alarm with which a run ended, so that it keeps its number and cause when the

@@ -17,6 +17,7 @@ from agent.execution.steps import ActivateBank, ReadActiveBank, ReadTemperatures
 from agent.notifications.dispatcher import ReceiverState
 from agent.planning.run_phases import HOMING, PREFLIGHT, PROBE_CHECK, QUALIFICATION, REVERSAL, VERIFICATION
 from agent.results.run_outcome import Outcome
+from agent.results.run_requester import BY, requester_of
 from agent.results.run_verdict import RunVerdict, verdict_of
 from agent.runs.reconcile_result import CompensationState, Reconciliation
 from agent.runs.run_request import Source
@@ -173,7 +174,7 @@ class StatusBoard:
 
     def reset(self) -> None:
         self._change(alarms=(), fraction=0.0, minutes_left=None, step="", run_id=None, kind=None, started=None)
-        self._change(balls=0, touches=0, verdict=None)
+        self._change(source="", by="", balls=0, touches=0, verdict=None)
         self.enter(RunState.IDLE, "reset")
 
     def show_reconciliation(self, result: Reconciliation) -> None:
@@ -200,12 +201,15 @@ class StatusBoard:
 
     # ------------------------------------------------------------------ a run
 
-    def begin_run(self, run_id: str, kind: str, source: Source, position_set: str | None) -> None:
+    def begin_run(self, run_id: str, kind: str, source: Source, position_set: str | None, by: str = "") -> None:
+        """Show a run that begins now. `by` is the name of who asked for it if it is known."""
         self._change(
             run_id=run_id,
             kind=kind,
             position_set=position_set,
             started=utc_timestamp(),
+            source=source,
+            by=by,
             step="",
             fraction=0.0,
             minutes_left=None,
@@ -220,7 +224,7 @@ class StatusBoard:
             alarms=(),
         )
         self._unexpected = False
-        self.enter(RunState.PREFLIGHT, f"{kind} requested by {source}")
+        self.enter(RunState.PREFLIGHT, f"{kind} requested by {requester_of({'source': source, BY: by})}")
 
     def on_announcement(self, announcement: Announcement) -> None:
         """Update the status and the event log with an announcement of the run (state, progress or note)."""

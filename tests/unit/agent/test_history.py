@@ -169,13 +169,18 @@ class TestFeeding:
         )
         assert (run.parameters, run.temperatures, run.decisions) == ([], [], [])
 
-    def test_a_run_that_was_gone_on_with_was_started_by_who_asked_first(self, state: Path, store: HistoryStore) -> None:
+    @pytest.mark.parametrize(
+        ("first", "said"), [('{"source": "timer"}', "timer"), ('{"source": "page", "by": "panel 2"}', "page (panel 2)")]
+    )
+    def test_a_run_that_was_gone_on_with_was_started_by_who_asked_first(
+        self, state: Path, store: HistoryStore, first: str, said: str
+    ) -> None:
         journaled(state, 0)
-        for asked in ('{"source": "timer"}', '{"source": "page", "resumed": true}'):
+        for asked in (first, '{"source": "page", "resumed": true}'):
             add_event(state, 1, "asked", asked)
         sync(state, store)
         (run,) = store.runs()
-        assert run.started_by == "timer"
+        assert run.started_by == said
 
     def test_a_run_without_an_estimate_is_history_too(self, state: Path, store: HistoryStore) -> None:
         journaled(state, 0, ends=RunState.REFUSED)

@@ -35,7 +35,7 @@ BUILT = re.compile(r"`([a-z]+\.(?:[a-z]+_)?)\$\{")
 NAMED = re.compile(r'data-(?:text|label)="([^"]+)"')
 PLACE = re.compile(r"\{(\w+)\}")
 WORDS = re.compile(r'"[^"\n]*[A-Za-z]{3,} [a-z]{2,} [a-z]{2,}[^"\n]*"')
-NO_KEYS = {"verdicts.json", "volcal.language", "volcal.theme", "volcal.token"}
+NO_KEYS = {"verdicts.json", "volcal.language", "volcal.theme", "volcal.token", "volcal.paired"}
 
 
 def used() -> set[str]:

@@ -110,6 +110,28 @@ def test_a_timer_is_refused_without_permission_and_the_next_night_is_not_lost(tm
         built.puppet.begun()
 
 
+def test_who_asked_is_recorded_shown_and_forgotten_at_a_reset(tmp_path: Path) -> None:
+    request = RunRequest(kind="calibrate", source="page", consent=True)
+    with house(tmp_path) as built, built.owner.subscribe() as events:
+        built.owner.start(request, "panel 2")
+        built.puppet.begun()
+        built.puppet.enter(RunState.MEASURING)
+        built.owner.hold("panel 3")
+        now = built.owner.status()
+        assert (now.source, now.by) == ("page", "panel 2")
+        assert built.puppet.started[-1].asked == {**request.model_dump(mode="json"), "by": "panel 2"}
+        told = [events.get_nowait().text for _ in range(events.qsize())]
+        assert "calibrate requested by page (panel 2)" in told
+        assert "hold requested by panel 3" in told
+        built.puppet.end(RunState.COMPLETE)
+        assert built.owner.wait(PATIENCE_S)
+        built.owner.reset("panel 2")
+        assert (built.owner.status().source, built.owner.status().by) == ("", "")
+        built.owner.start(request)
+        built.puppet.begun()
+        assert built.puppet.started[-1].asked == request.model_dump(mode="json")  # nobody is named
+
+
 def test_the_controller_is_asked_again_after_a_run_that_broke_off(tmp_path: Path) -> None:
     with house(tmp_path) as built:
         asked = built.machine.asked

@@ -119,7 +119,8 @@ def test_an_unfinished_run_can_be_given_up(tmp_path: Path) -> None:
         built.owner.reconcile()
         before = built.owner.status()
         assert (before.unfinished, before.may >= {"resume_run", "give_up", "start"}) == (UNFINISHED.run_id, True)
-        built.owner.give_up()
+        built.owner.give_up("panel 2")
+        assert "asked by panel 2" in built.machine.asked
         after = built.owner.status()
         assert after.unfinished is None
         assert not after.may & {"resume_run", "give_up"}

@@ -1,8 +1,10 @@
 /* Buttons of the footer and their keyboard shortcuts. */
-import { askStart, askToken, showKeys } from "./dialogs.js";
+import { accessText, onAccess } from "./access.js";
+import { askAccess } from "./access-dialog.js";
+import { askStart, showKeys } from "./dialogs.js";
 import { byId } from "./dom.js";
-import { say } from "./language.js";
-import { ask, dropReading, read, Refused, token } from "./requests.js";
+import { onLanguage, say } from "./language.js";
+import { ask, dropReading, isTokenRefused, read, Refused, token } from "./requests.js";
 import { showDone, showProblem, showSent, showWarning } from "./notices.js";
 import { on, refresh } from "./store.js";
 
@@ -20,7 +22,11 @@ export function openControls() {
   byId("reset").addEventListener("click", () => request("/api/reset", {}, "done.reset"));
   byId("resume-run").addEventListener("click", () => request("/api/resume-run", { source: "page" }, "done.resume_run"));
   byId("abort").addEventListener("click", abort);
-  byId("token").addEventListener("click", () => askToken());
+  byId("token").addEventListener("click", () => askAccess());
+  const who = () => (byId("token").textContent = accessText() ?? say("access.enter"));
+  onAccess(who);
+  onLanguage(who);
+  who();
   byId("keys").addEventListener("click", () => showKeys(KEYS));
   addEventListener("keydown", press);
   on("status", offer);
@@ -43,7 +49,7 @@ async function abort() {
   showSent("abort.sent");
   const silent = setTimeout(() => showWarning("abort.unconfirmed"), UNCONFIRMED_MS);
   try {
-    await ask("/api/abort", { reason: say("abort.reason") }, { withToken: false });
+    await ask("/api/abort", { reason: say("abort.reason") });
     showDone("done.abort");
   } catch (error) {
     if (!(error instanceof Refused)) throw error;
@@ -62,9 +68,9 @@ async function begin() {
   }
 }
 
-/* Sends a command with the token, and asks for the token if it is missing or wrong. */
+/* Sends a command with the token, and asks for one if it is missing or wrong. */
 export async function request(path, body, done, sent = null) {
-  if (!token() && !(await askToken())) return false;
+  if (!token() && !(await askAccess())) return false;
   if (sent) showSent(sent);
   try {
     await ask(path, body);
@@ -73,9 +79,7 @@ export async function request(path, body, done, sent = null) {
     return true;
   } catch (error) {
     showProblem(error);
-    if (error instanceof Refused && [401, 403].includes(error.problem.status)) {
-      if (await askToken(say("token.wrong"))) return request(path, body, done, sent);
-    }
+    if (isTokenRefused(error) && (await askAccess(say("access.refused")))) return request(path, body, done, sent);
     return false;
   }
 }

@@ -22,7 +22,7 @@ addEventListener("keydown", (event) => {
 });
 
 /* Resolves with the form data if confirmed, otherwise with null. */
-function asked(title, confirm, ...fields) {
+export function asked(title, confirm, ...fields) {
   const dialog = byId("dialog");
   return new Promise((resolve) => {
     const cancel = make("button", { type: "button", onclick: () => dialog.close() }, say("dialog.cancel"));
@@ -37,9 +37,9 @@ function asked(title, confirm, ...fields) {
   });
 }
 
-export async function askToken(why = "") {
+export async function askToken(why) {
   const field = make("input", { type: "password", name: "token", required: true, autocomplete: "off", value: token() ?? "" });
-  const given = await asked(say("token.title"), say("token.keep"), make("p", {}, why || say("token.why")),
+  const given = await asked(say("token.title"), say("token.keep"), make("p", {}, why),
     make("label", {}, say("token.name"), field));
   if (given === null) return false;
   keepToken(given.get("token").trim());

@@ -1,4 +1,5 @@
 /* Engineer view: one section at a time; sections about a run show the chosen run. */
+import { onAccess } from "./access.js";
 import { byId, make } from "./dom.js";
 import { onLanguage, say } from "./language.js";
 import { runName } from "./parts.js";
@@ -27,6 +28,7 @@ export function openEngineer() {
   const content = make("div", { className: "content", id: "content", tabIndex: -1 });
   view.replaceChildren(list, make("div", { className: "sheet" }, label, content));
   onLanguage(() => now.shown && show());
+  onAccess(() => now.shown && show({ quiet: true }));
   on("status", ({ run_id, state }) => {
     const key = `${run_id} ${state}`;
     if (now.key !== key && now.shown) refresh();

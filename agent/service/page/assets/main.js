@@ -1,3 +1,4 @@
+import { openAccess } from "./access.js";
 import { openControls } from "./controls.js";
 import { enterEngineer, leaveEngineer, openEngineer } from "./engineer.js";
 import { openFrame } from "./frame.js";
@@ -12,4 +13,4 @@ openFrame((view) => (view === "engineer" ? enterEngineer() : leaveEngineer()));
 openControls();
 openOperator();
 openEngineer();
-await follow();
+await Promise.all([follow(), openAccess()]);

@@ -20,7 +20,8 @@ export const showWarning = (key) => show("problem", say(key), "");
 /* Shows a refusal; `nodes` makes the elements of its text. */
 export function showProblem(error, nodes = (text) => [text]) {
   if (!(error instanceof Refused)) throw error;
-  const { status, detail, hint } = error.problem;
+  const { status, title, detail, hint } = error.problem;
+  if (known(`problem.${title}`)) return show("problem", say(`problem.${title}`), "", nodes);
   const own = `problem.${status}`;
   return show("problem", known(own) ? say(own) : detail, known(own) && status === 409 ? [detail, hint].filter(Boolean).join(" – ") : hint ?? "", nodes);
 }

@@ -1,10 +1,25 @@
-/* Requests to the service. Commands that move or write carry the token; abort carries none. */
+/* Requests to the service. They carry the token if there is one; an abort needs none. */
 import { say } from "./language.js";
 
-const KEPT_AS = "volcal.token";
+const KEPT_AS = "volcal.token", PAIRED_AS = "volcal.paired";
 
-export const token = () => sessionStorage.getItem(KEPT_AS);
+/* A token that was typed goes with the window; that of a paired browser stays until it is revoked. */
+export const token = () => sessionStorage.getItem(KEPT_AS) ?? localStorage.getItem(PAIRED_AS);
 export const keepToken = (value) => (value ? sessionStorage.setItem(KEPT_AS, value) : sessionStorage.removeItem(KEPT_AS));
+
+export function keepPaired(value) {
+  sessionStorage.removeItem(KEPT_AS);
+  localStorage.setItem(PAIRED_AS, value);
+}
+
+export function forgetToken() {
+  sessionStorage.removeItem(KEPT_AS);
+  localStorage.removeItem(PAIRED_AS);
+}
+
+/* What no header can carry is no token; it must not keep an abort from being sent. */
+const SENDABLE = /^[!-~]+$/;
+const authorized = () => (SENDABLE.test(token() ?? "") ? { authorization: `Bearer ${token()}` } : {});
 
 /* Refusal by the service. `problem`: its problem document (detail, hint, where, status). */
 export class Refused extends Error {
@@ -16,11 +31,11 @@ export class Refused extends Error {
 
 const reading = new Set();
 
-export async function read(path) {
+export async function read(path, { withToken = false } = {}) {
   const controller = new AbortController();
   reading.add(controller);
   try {
-    return await (await answered(fetch(path, { headers: { accept: "application/json" }, signal: controller.signal }))).json();
+    return await (await answered(fetch(path, { headers: { accept: "application/json", ...(withToken ? authorized() : {}) }, signal: controller.signal }))).json();
   } finally {
     reading.delete(controller);
   }
@@ -31,16 +46,18 @@ export function dropReading() {
   for (const controller of reading) controller.abort();
 }
 
-export async function ask(path, body, { withToken = true } = {}) {
-  const headers = { "content-type": "application/json" };
-  if (withToken && token()) headers.authorization = `Bearer ${token()}`;
+export async function ask(path, body) {
+  const headers = { "content-type": "application/json", ...authorized() };
   return (await answered(fetch(path, { method: "POST", headers, body: JSON.stringify(body ?? {}) }))).json();
 }
 
 /* Fetches a file that requires the token. */
 export async function fetchFile(path) {
-  return (await answered(fetch(path, { headers: { authorization: `Bearer ${token()}` } }))).blob();
+  return (await answered(fetch(path, { headers: authorized() }))).blob();
 }
+
+/* True if the service does not accept the token at all; a role that does not permit the request is another matter. */
+export const isTokenRefused = (error) => error instanceof Refused && (error.problem.status === 401 || (error.problem.status === 403 && error.problem.title !== "RoleRefused"));
 
 async function answered(request) {
   const response = await request.catch(() => {

@@ -29,8 +29,8 @@ const groupOf = ({ kind }) => ({ state: "state", note: "note", event: "measured"
 
 function textOf({ kind, record }) {
   if (kind === "state") return [stateWord(record.state), record.reason].filter(Boolean).join(" – ");
-  if (kind === "asked") return [wordOr("kind", record.kind ?? ""), wordOr("source", (record.source ?? "").replaceAll(" ", "_"))].join(" – ");
-  if (kind === "acknowledged") return say("events.acknowledged");
+  if (kind === "asked") return [wordOr("kind", record.kind ?? ""), wordOr("source", (record.source ?? "").replaceAll(" ", "_")), record.by].filter(Boolean).join(" – ");
+  if (kind === "acknowledged") return [say("events.acknowledged"), record.by].filter(Boolean).join(" – ");
   const { text, step, ...rest } = record;
   const where = step ? [stepWords(step), make("code", {}, step)] : [];
   return make("span", { className: "event-text" }, ...where, text ?? "", make("small", {}, Object.entries(rest).filter(([, value]) => plain(value)).map(([name, value]) => `${name} ${figure(value)}`).join(" · ")));

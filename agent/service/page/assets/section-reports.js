@@ -1,9 +1,10 @@
 /* Section with the reports of all runs as files, and the diagnostics archive for support. */
-import { askToken } from "./dialogs.js";
+import { permits } from "./access.js";
+import { askAccess } from "./access-dialog.js";
 import { make } from "./dom.js";
 import { instant, number, say } from "./language.js";
 import { beforeAfter, heading, micrometres, remark, table, wordOr } from "./parts.js";
-import { fetchFile, Refused, token } from "./requests.js";
+import { fetchFile, isTokenRefused, token } from "./requests.js";
 import { showProblem } from "./notices.js";
 import { verdictMark } from "./wording.js";
 
@@ -11,7 +12,8 @@ export const ofRun = false;
 
 export async function parts({ runs }) {
   const list = runs.length ? table(["reports.run", "reports.kind", "reports.state", "fact.ve_before", "fact.ve_now", "fact.held_out", "fact.balls", "fact.minutes", "reports.report"].map((key) => say(key)), runs.map(row)) : remark("section.no_run");
-  return [heading("reports.title"), make("div", { className: "acts" }, make("button", { id: "diagnostics", onclick: diagnostics }, say("reports.diagnostics"))), remark("reports.diagnostics_is"), list];
+  const archive = permits("diagnostics") ? [make("div", { className: "acts" }, make("button", { id: "diagnostics", onclick: diagnostics }, say("reports.diagnostics"))), remark("reports.diagnostics_is")] : [];
+  return [heading("reports.title"), ...archive, list];
 }
 
 function row({ run_id, kind, started, verdict, reason, balls, ended, ve_um, vce_um, held_out_before_um, held_out_after_um, machine_minutes }) {
@@ -21,9 +23,9 @@ function row({ run_id, kind, started, verdict, reason, balls, ended, ve_um, vce_
     make("span", { className: "acts" }, ...(ended ? [link("html"), link("pdf")] : [say("reports.going_on")]))];
 }
 
-/* The archive contains everything known about the machine, so it requires the token: a request instead of a link. */
+/* The archive contains everything known about the machine, so it requires a token: a request instead of a link. */
 async function diagnostics() {
-  if (!token() && !(await askToken())) return;
+  if (!token() && !(await askAccess())) return;
   try {
     const address = URL.createObjectURL(await fetchFile("/api/diagnostics"));
     const link = make("a", { href: address, download: "volcal-diagnostics.zip" });
@@ -31,6 +33,6 @@ async function diagnostics() {
     URL.revokeObjectURL(address);
   } catch (error) {
     showProblem(error);
-    if (error instanceof Refused && error.problem.status === 403 && (await askToken(say("token.wrong")))) await diagnostics();
+    if (isTokenRefused(error) && (await askAccess(say("access.refused")))) await diagnostics();
   }
 }

@@ -1,4 +1,5 @@
 /* Section with the compensation tables: active bank, stored tables, difference of two, download, restoration. */
+import { permits } from "./access.js";
 import { request } from "./controls.js";
 import { askConfirmation } from "./dialogs.js";
 import { make } from "./dom.js";
@@ -39,7 +40,7 @@ function cells(row, again) {
   const words = [mark(role), ...(row.waiting ? [mark("waiting")] : []), ...(row.acting ? [mark("active")] : []), ...(row.accepted ? [mark("accepted")] : [])];
   const save = crc32 ? make("a", { className: "button", href: `/api/page/tables/${encodeURIComponent(run_id)}/${role}.csv`, download: "" }, say("tables.save")) : null;
   const can = (seen.status?.may ?? []).includes("start");
-  const back = make("button", { className: "restore", disabled: !can, onclick: () => restore(row).then(() => again({ quiet: true })) }, say("tables.restore"));
+  const back = !permits("restore_table") ? null : make("button", { className: "restore", disabled: !can, onclick: () => restore(row).then(() => again({ quiet: true })) }, say("tables.restore"));
   return [instant(at), make("span", { className: "marks" }, ...words), number(bank, 0), make("span", { title: shape ? shape.join(" × ") : "" }, crc32 ?? say("tables.empty")),
     make("span", { className: "acts" }, save, back)];
 }

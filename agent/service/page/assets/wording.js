@@ -53,11 +53,11 @@ export function doing(status) {
   return where ? `${words}: ${where}` : words;
 }
 
-/* Kind of the run in progress, or of the one whose end is shown, and its position set. */
-export function runText({ kind, position_set: set }) {
+/* Kind of the run in progress, or of the one whose end is shown, its position set, and who started it. */
+export function runText({ kind, position_set: set, by }) {
   if (!kind) return "";
   const name = known(`kind.${kind}`) ? say(`kind.${kind}`) : kind;
-  return kind === "calibrate" && set ? `${name} · ${set}` : name;
+  return [name, kind === "calibrate" ? set : null, by ? say("run.started_by", { name: by }) : null].filter(Boolean).join(" · ");
 }
 
 /* Phase of the run with its progress; of a preflight without a former one, the number of steps simulated so far. */
