@@ -55,7 +55,7 @@ def test_limits_of_an_estimate(
     seen = measure(machine, bar, orientations, np.random.default_rng(103), stations=stations).seen
     estimate, grid = score(machine, bar, seen).estimate, evaluation_grid(RANGES)
     found, upper = volumetric_limits(estimate, grid, TOOL), volumetric_distributions(estimate, grid, TOOL)
-    lower = volumetric_distributions(estimate, grid, TOOL, excess_noise_stays=False)
+    lower = volumetric_distributions(estimate, grid, TOOL, with_unresolved=False)
     for above, below, limits_um in ((upper.ve, lower.ve, found.ve_um), (upper.vce, lower.vce, found.vce_um)):
         exact_mm2 = (below.aligned.quantile(0.025), above.aligned.quantile(0.975))
         assert limits_um == pytest.approx(1e3 * np.sqrt(exact_mm2), rel=0.01)

@@ -220,17 +220,10 @@ class Unknowns:
         therefore contains it. What the estimated variance exceeds the stated one by is counted as error of the machine
         (it stays after compensation), unless the misfit leaves out more at its own scales.
         """
-        return max(self.least_unresolved_mm2(scales), self._excess_noise_mm2(scales))
-
-    def least_unresolved_mm2(self, scales: Scales) -> float:
-        """Return the variance that `unresolved_mm2` returns, for the opposite assumption: what the estimated variance
-        of the noise exceeds the stated one by is noise of the touches. Only what the misfit leaves out remains."""
         if self.modes is None:
             return 0.0
-        return self.misfit_mm**2 * float(self.modes.left_out @ np.square(scales.kinds))
-
-    def _excess_noise_mm2(self, scales: Scales) -> float:
-        return 0.0 if self.modes is None else (scales.noise**2 - 1.0) * self.stated_noise_mm2
+        left_out = self.misfit_mm**2 * float(self.modes.left_out @ np.square(scales.kinds))
+        return max(left_out, (scales.noise**2 - 1.0) * self.stated_noise_mm2)
 
     def physical_covariance(self, unit: Array) -> Array:
         """Return the covariance (p, p) of the parameters in mm and rad. `unit` (p, p) is the covariance of the same

@@ -165,9 +165,9 @@ class VolumetricComparison:
 
     `true_mm` is the true value, and `expected_mm` is the root of the expected mean square, both in mm. Both apply after
     the best-fitting rigid motion has been removed. `level` is the level of the equal-tailed uncertainty interval that
-    ends exactly at the true value. As for the limits that an identification states (`volumetric_limits`), the lower
-    ends of the intervals take noise in excess of the stated noise as noise of the touches, the upper ends as error of
-    the machine; `level` is 0 for true values between the two medians.
+    ends exactly at the true value. As for the limits that an identification states (`volumetric_limits`), the upper
+    ends of the intervals count the unresolved misfit, the lower ends do not; `level` is 0 for true values between the
+    two medians.
     """
 
     true_mm: float
@@ -187,7 +187,7 @@ def volumetric_comparisons(
     true = truth.deviation(grid)
     left = true - exact_deviation(estimate.model, grid, offset, estimate.parameters)
     most = volumetric_distributions(estimate, grid, offset)
-    least = volumetric_distributions(estimate, grid, offset, excess_noise_stays=False)
+    least = volumetric_distributions(estimate, grid, offset, with_unresolved=False)
     found = []
     for field, upper, lower in ((true, most.ve, least.ve), (left, most.vce, least.vce)):
         rms_mm = volumetric_error(grid + offset, field).aligned_mm

@@ -21,16 +21,13 @@ class MixtureComponent:
     """One Gaussian of a mixture that describes the posterior distribution of a machine.
 
     `mean`, shape (m,), and `covariance`, shape (m, m), refer to a vector that contains the model parameters (mm or
-    rad), followed by the coefficients of the misfit. `unresolved_mm2` is the variance per direction, in mm², of
-    errors of the machine whose wavelength is too short for the misfit modes, if all noise in excess of the stated noise
-    comes from such errors. `least_unresolved_mm2` is the same variance if this noise comes from the touches; the
-    measured ball centres cannot tell one from the other.
+    rad), followed by the coefficients of the misfit. `unresolved_mm2` is the variance per direction, in mm², of the
+    part of the misfit whose wavelength is too short for the misfit modes.
     """
 
     mean: Array
     covariance: Array
     unresolved_mm2: float
-    least_unresolved_mm2: float
 
     @cached_property
     def factor(self) -> Array:
@@ -54,7 +51,6 @@ def mixture_components(estimate: Estimate) -> tuple[MixtureComponent, ...]:
             mean=units * one.z[indices],
             covariance=one.covariance[np.ix_(indices, indices)] * np.multiply.outer(units, units),
             unresolved_mm2=unknowns.unresolved_mm2(one.scales),
-            least_unresolved_mm2=unknowns.least_unresolved_mm2(one.scales),
         )
         for one in estimate.alternatives
     )
@@ -63,11 +59,10 @@ def mixture_components(estimate: Estimate) -> tuple[MixtureComponent, ...]:
 def _as_stated(estimate: Estimate) -> MixtureComponent:
     misfit = estimate.misfit
     if misfit is None:
-        return MixtureComponent(estimate.parameters, estimate.covariance, 0.0, 0.0)
+        return MixtureComponent(estimate.parameters, estimate.covariance, 0.0)
     cross = misfit.cross_covariance
     return MixtureComponent(
         np.concatenate((estimate.parameters, misfit.coefficients)),
         np.block([[estimate.covariance, cross], [cross.T, misfit.covariance]]),
         misfit.unresolved_mm2,
-        min(misfit.unresolved_mm2, estimate.unknowns.least_unresolved_mm2(estimate.scales)),
     )

@@ -9,7 +9,7 @@ Each possible pair of mean and covariance is equally probable.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -115,13 +115,13 @@ class VolumetricDistributions:
 
 
 def volumetric_distributions(
-    estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike, *, excess_noise_stays: bool = True
+    estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike, *, with_unresolved: bool = True
 ) -> VolumetricDistributions:
     """Return the distributions of the volumetric error with and without compensation, given `estimate`.
 
     The error is taken over the axis positions `points`, shape (n, 3), in mm. The distributions are averaged over all
-    sets of scales that are compatible with the measurements. Noise in excess of the stated noise is counted as an error
-    of the machine, which compensation does not remove, or as noise of the touches if `excess_noise_stays` is False.
+    sets of scales that are compatible with the measurements. If `with_unresolved` is False, the part of the misfit whose
+    wavelength is too short for the misfit modes, which the measurements cannot tell from noise, is taken as zero.
     Raises DataError if a covariance is invalid or zero.
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
@@ -129,10 +129,9 @@ def volumetric_distributions(
     written[: estimate.model.size] = estimate.parameters
     forms = field_forms(estimate, grid, offset)
     likely = mixture_components(estimate)
-    unresolved = [one.unresolved_mm2 if excess_noise_stays else one.least_unresolved_mm2 for one in likely]
-    parts = [
-        [_both(form, one, of_one, written) for one, of_one in zip(likely, unresolved, strict=True)] for form in forms
-    ]
+    if not with_unresolved:
+        likely = tuple(replace(one, unresolved_mm2=0.0) for one in likely)
+    parts = [[_both(form, one, written) for one in likely] for form in forms]
     ve, vce = (
         VolumetricDistribution(*(QuadraticMixture(tuple(pair[which] for pair in pairs)) for pairs in parts))
         for which in (0, 1)
@@ -140,14 +139,12 @@ def volumetric_distributions(
     return VolumetricDistributions(ve, vce)
 
 
-def _both(
-    form: Array, one: MixtureComponent, unresolved_mm2: float, written: Array
-) -> tuple[QuadraticDistribution, ...]:
+def _both(form: Array, one: MixtureComponent, written: Array) -> tuple[QuadraticDistribution, ...]:
     """Return the distributions of the mean square before and after compensation by the parameters `written`."""
     # Compensation subtracts the written parameters from every machine: it moves the mean and leaves the covariance. The
     # unresolved misfit adds its variance in three directions.
     means = (one.mean, one.mean - written)
-    return QuadraticDistribution.about(form, np.zeros(len(written)), 3.0 * unresolved_mm2, means, one.factor)
+    return QuadraticDistribution.about(form, np.zeros(len(written)), 3.0 * one.unresolved_mm2, means, one.factor)
 
 
 def _size(estimate: Estimate) -> int:

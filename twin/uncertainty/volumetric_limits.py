@@ -9,10 +9,10 @@ cumulant generating function of a quadratic form Q, and s the saddle at which K'
 with the normal distribution function Φ and its density φ. If s is given instead of x, no equation has to be solved.
 The approximation gives the limits to within 0.5 % of the exact distributions.
 
-Ball centres that scatter more than the stated noise of the touches can have two causes: the touches scatter more than
-stated, or the machine has errors between the balls, which stay after compensation. The centres cannot tell one from the
-other. The upper limits therefore take all excess as error of the machine, the lower limits take it as noise of the
-touches, and the limits hold whichever it is.
+No measurement of ball centres tells errors of the machine whose wavelength is too short for the misfit modes from noise
+of the touches. They are an assumption about the machine, or the scatter of the centres beyond the stated noise, which
+may also be touches that scatter more than stated. The upper limits count them in full, the lower limits not at all, so
+that the limits hold whichever it is.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def volumetric_limits(estimate: Estimate, points: ArrayLike, tool_offset: ArrayL
     """Return the limits of the equal-tailed intervals that contain the VE and the VCE with a probability of 95 %.
 
     The errors are taken over the axis positions `points` (n, 3) in mm. The limits take into account all sets of scales
-    that the measurements allow, and both causes of noise in excess of the stated noise.
+    that the measurements allow. The upper limits count the unresolved misfit, the lower limits do not.
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     return limits_of_form(estimate, field_forms(estimate, grid, offset)[1])
@@ -76,10 +76,9 @@ def limits_of_form(estimate: Estimate, form: Array) -> VolumetricLimits:
     parts = [_before_and_after(root, one, written) for one in likely]
     before, after = [one for one, _ in parts], [one for _, one in parts]
     expected_mm2 = float(np.mean([one.mean for one in before]))
-    # the unresolved misfit is the same in three directions
-    touches_mm2 = [3.0 * (one.unresolved_mm2 - one.least_unresolved_mm2) for one in likely]
+    unresolved_mm2 = [_unresolved_mm2(one) for one in likely]
     return VolumetricLimits(
-        UM_PER_MM * math.sqrt(expected_mm2), _limits_um(before, touches_mm2), _limits_um(after, touches_mm2)
+        UM_PER_MM * math.sqrt(expected_mm2), _limits_um(before, unresolved_mm2), _limits_um(after, unresolved_mm2)
     )
 
 
@@ -111,9 +110,8 @@ def _before_and_after(
     """
     values, vectors = np.linalg.eigh(root @ one.covariance @ root.T)
     known = values > _CERTAIN * max(float(values[-1]), 0.0)
-    # Directions without variance add a constant, the square of their mean; the unresolved misfit adds its variance in
-    # three directions.
-    weights, beside = values[known], 3.0 * one.unresolved_mm2 + max(float(values[~known].sum()), 0.0)
+    # Directions without variance add a constant, the square of their mean.
+    weights, beside = values[known], _unresolved_mm2(one) + max(float(values[~known].sum()), 0.0)
     found = []
     for mean in (one.mean, one.mean - written):
         along = vectors.T @ (root @ mean)
@@ -123,11 +121,16 @@ def _before_and_after(
     return found[0], found[1]
 
 
-def _limits_um(parts: Sequence[QuadraticDistribution], touches_mm2: Sequence[float]) -> tuple[float, float]:
-    """Return the lower and the upper limit in µm. `touches_mm2` is the part of the mean square of each of the `parts`
-    that may be noise of the touches instead."""
+def _unresolved_mm2(one: MixtureComponent) -> float:
+    """Return the mean square of the unresolved misfit, which has the same variance in three directions."""
+    return 3.0 * one.unresolved_mm2
+
+
+def _limits_um(parts: Sequence[QuadraticDistribution], unresolved_mm2: Sequence[float]) -> tuple[float, float]:
+    """Return the lower and the upper limit in µm. `unresolved_mm2` is the mean square of the unresolved misfit that
+    each of the `parts` contains."""
     outside = 0.5 * (1.0 - COVERAGE)
-    reduced = [replace(part, least=part.least - noise) for part, noise in zip(parts, touches_mm2, strict=True)]
+    reduced = [replace(part, least=part.least - absent) for part, absent in zip(parts, unresolved_mm2, strict=True)]
     lower, upper = (
         float(mixture_quantiles(of, (probability,))[0])
         for of, probability in ((reduced, outside), (parts, 1.0 - outside))
