@@ -120,8 +120,8 @@ def volumetric_distributions(
     """Return the distributions of the volumetric error with and without compensation, given `estimate`.
 
     The error is taken over the axis positions `points`, shape (n, 3), in mm. The distributions are averaged over all
-    sets of scales that are compatible with the measurements. If `with_unresolved` is False, the part of the misfit whose
-    wavelength is too short for the misfit modes, which the measurements cannot tell from noise, is taken as zero.
+    sets of scales that are compatible with the measurements. If `with_unresolved` is False, the part of the misfit
+    whose wavelength is too short for the misfit modes, which the measurements cannot tell from noise, is taken as zero.
     Raises DataError if a covariance is invalid or zero.
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
