@@ -45,9 +45,17 @@ class PairingTries(RuleBasedStateMachine):
     def wait(self, seconds: float) -> None:
         self.clock.sleep(seconds)
 
-    @rule(back=st.integers(0, 3))
-    def use(self, back: int) -> None:
-        """Try the present code (0), a former one, or one that never was."""
+    @rule()
+    def use_present_code(self) -> None:
+        self._use(0)
+
+    @rule(back=st.integers(1, 3), times=st.sampled_from([1, MAX_WRONG_TRIES - 1, MAX_WRONG_TRIES]))
+    def use_another(self, back: int, times: int) -> None:
+        """Try a former code, or one that never was."""
+        for _ in range(times):
+            self._use(back)
+
+    def _use(self, back: int) -> None:
         code = self.opened[-1 - back] if back < len(self.opened) else "999999"
         now = self.clock.now()
         good = back == 0 and bool(self.opened) and not self.used and self.wrong < MAX_WRONG_TRIES and now < self.ends
@@ -75,4 +83,4 @@ class PairingTries(RuleBasedStateMachine):
 
 
 TestPairingTries = PairingTries.TestCase
-TestPairingTries.settings = settings(max_examples=60, stateful_step_count=40, deadline=None)
+TestPairingTries.settings = settings(max_examples=200, stateful_step_count=40, deadline=None)
