@@ -91,4 +91,4 @@ def events(data: ReportData, t: Texts) -> Table | None:
 
 def signatures(t: Texts) -> Table:
     rows = tuple((t[name], "", "", "") for name in ("performed_by", "checked_by", "released_by"))
-    return Table(("", t["name"], t["place_date"], t["signature"]), rows)
+    return Table((t["role"], t["name"], t["place_date"], t["signature"]), rows)

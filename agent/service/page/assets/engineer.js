@@ -24,7 +24,7 @@ export function openEngineer() {
   const list = make("nav", { className: "sections", id: "sections" });
   const chooser = make("select", { id: "run", onchange: () => choose(now.section, chooser.value) });
   const label = make("label", { className: "of-run" }, make("span", {}), chooser);
-  const content = make("div", { className: "content", id: "content", tabIndex: -1 });
+  const content = make("section", { className: "content", id: "content", tabIndex: 0 });
   view.replaceChildren(list, make("div", { className: "sheet" }, label, content));
   onLanguage(() => now.shown && show());
   on("status", ({ run_id, state }) => {
@@ -90,6 +90,7 @@ async function show({ quiet = false } = {}) {
   }, say(`section.${name}`))));
   showRuns(section, candidates(section)[0] ?? null);
   if (!quiet) content.replaceChildren(make("p", { className: "remark busy" }, say("section.loading")));
+  content.setAttribute("aria-label", say(`section.${now.section}`));
   content.setAttribute("aria-busy", "true");
   try {
     const { run, parts } = await partsOf(section);
@@ -112,6 +113,6 @@ function showRuns(section, shown) {
 }
 
 function complaint({ detail, hint }) {
-  return make("section", { className: "card" }, make("h3", {}, say("section.nothing")), make("p", {}, detail),
+  return make("section", { className: "card" }, make("h2", {}, say("section.nothing")), make("p", {}, detail),
     hint ? make("p", { className: "remark" }, hint) : null);
 }

@@ -48,6 +48,14 @@ export function instant(utc) {
 
 export const timeOfDay = (utc) => new Intl.DateTimeFormat(language, { timeStyle: "medium" }).format(new Date(utc));
 
+/* Names the button that leads to the other language, in that language. */
+export function nameLanguage(other) {
+  const button = document.getElementById("language");
+  button.textContent = other.toUpperCase();
+  button.lang = other;
+  button.setAttribute("aria-label", say("language.change"));
+}
+
 /* Translates the elements that name their message in `data-text` (content) or `data-label` (accessible name). */
 export function translate(root = document) {
   for (const element of root.querySelectorAll("[data-text]")) element.textContent = say(element.dataset.text);

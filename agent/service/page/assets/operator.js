@@ -34,8 +34,9 @@ export function openOperator() {
   const progress = make("div", { className: "progress" }, whole.track, make("div", { className: "figures" }, percent, left), own.track, phase);
   const result = make("div", { id: "result-place" }), links = make("ul", { className: "links", id: "links" });
   const above = make("div", { className: "now" }, kind, words, progress);
-  view.replaceChildren(stage, make("div", { className: "side" }, above, cards, facts, links, result, residuals, recent));
-  const show = () => seen.status && render(seen.status, { kind, words, progress, whole, own, percent, left, phase, cards, facts, links });
+  const side = make("section", { className: "side", tabIndex: 0 }, above, cards, facts, links, result, residuals, recent);
+  view.replaceChildren(stage, side);
+  const show = () => seen.status && render(seen.status, { side, kind, words, progress, whole, own, percent, left, phase, cards, facts, links });
   const showRecent = () => recent.replaceChildren(...seen.events.slice(0, RECENT).map(eventLine));
   on("status", () => {
     const run = seen.status?.unfinished ?? null;
@@ -53,6 +54,7 @@ export function openOperator() {
 function render(status, parts) {
   const now = doing(status);
   if (parts.words.textContent !== now) parts.words.textContent = now;
+  parts.side.ariaLabel = say("operator.side");
   parts.kind.textContent = runText(status);
   parts.progress.hidden = AT_REST.has(status.state);
   const { fraction, minutes_left: left, phase_fraction: ofPhase } = status;
@@ -76,6 +78,13 @@ function render(status, parts) {
   if (parts.cards.dataset.shown === shown) return;
   parts.cards.dataset.shown = shown;
   parts.cards.replaceChildren(...cards);
+  announce(status.alarms);
+}
+
+/* Alarms are read aloud in every view; the cards, whose buttons come and go, are not announced as a whole. */
+function announce(alarms) {
+  const text = alarms.map((alarm) => `${alarmTitle(alarm)}. ${alarm.text}.`).join(" ");
+  if (byId("alarms").textContent !== text) byId("alarms").textContent = text;
 }
 
 function progressBar(className) {
@@ -98,7 +107,7 @@ const eventLine = (event) => make("li", {}, make("time", { dateTime: event.at },
 function questionCard({ number: asked, text, station, placement }) {
   const answer = (yes) => request("/api/answer", { number: asked, yes }, yes ? "done.yes" : "done.no");
   return make("section", { className: "card question" },
-    make("h3", {}, questionTitle(station, placement)),
+    make("h2", {}, questionTitle(station, placement)),
     ...(placement ? placementLines(placement) : [make("p", {}, text)]),
     make("div", { className: "actions" },
       make("button", { id: "answer-yes", className: "go", onclick: () => answer(true) }, say("question.yes")),
@@ -144,7 +153,7 @@ function unfinishedCard({ unfinished: run, may }) {
     if (await askConfirmation(name, say("unfinished.give_up.is"), name)) await request("/api/give-up-run", {}, "done.give_up_run");
   };
   return make("section", { className: "card waiting", id: "unfinished" },
-    make("h3", {}, say("unfinished.title")), make("p", {}, say("unfinished.text", { run })),
+    make("h2", {}, say("unfinished.title")), make("p", {}, say("unfinished.text", { run })),
     kept.balls === null ? null : make("p", {}, say("unfinished.balls", { balls: number(kept.balls, 0) })),
     make("p", { className: "hint" }, say(allowed ? "unfinished.do" : "unfinished.reset")),
     allowed ? make("button", { id: "give-up-run", onclick: giveUp }, say("unfinished.give_up")) : null);
@@ -160,7 +169,7 @@ function unprovedCard({ unproved, may, alarms }) {
     make("button", { id, disabled: !allowed, onclick: act }, say(label, facts)));
   const post = (path, done) => () => request(`/api/${path}`, path === "resume-run" ? { source: "page" } : {}, done);
   return make("section", { className: "card alarm", id: "unproved" },
-    make("h3", {}, say("unproved.title")),
+    make("h2", {}, say("unproved.title")),
     make("p", {}, say("unproved.situation", facts)),
     reason ? make("p", { className: "where" }, say("unproved.reason", { reason })) : null,
     can("restore_former") ? null : make("p", { className: "hint" }, say("unproved.reset_first")),
@@ -178,12 +187,17 @@ function unprovedCard({ unproved, may, alarms }) {
 const alarmsBeside = ({ alarms, unproved }) =>
   alarms.filter(({ text }) => !(unproved && text.startsWith(unproved.situation)));
 
+function alarmTitle({ code }) {
+  const title = `alarm.${code}`;
+  return `${say("alarm.word")} ${code}${known(title) ? `: ${say(title)}` : ""}`;
+}
+
 function alarmCard({ code, text, hint, where }) {
-  const title = `alarm.${code}`, own = `alarm.${code}.do`;
+  const own = `alarm.${code}.do`;
   const todo = known(own) ? say(own) : hint;
   const at = Object.entries(where).map(([name, value]) => `${known(`where.${name}`) ? say(`where.${name}`) : name}: ${value}`);
   return make("section", { className: "card alarm" },
-    make("h3", {}, `${say("alarm.word")} ${code}${known(title) ? `: ${say(title)}` : ""}`),
+    make("h2", {}, alarmTitle({ code })),
     make("p", {}, text),
     make("p", { className: "hint" }, `${say("alarm.do")} ${todo}`),
     hint && !sameWords(hint, inEnglish(own)) ? make("p", {}, hint) : null,

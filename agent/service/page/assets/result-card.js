@@ -47,7 +47,7 @@ function render(place) {
 function card(run, stored) {
   const { run_id, kind, started, verdict, reason } = run;
   const made = make("section", { className: "card result", id: "result" },
-    make("h3", {}, verdictMark(verdict)),
+    make("h2", {}, verdictMark(verdict)),
     make("p", { className: "remark" }, [`${say("result.last")} ${wordOr("kind", kind)}`, started ? instant(started) : null].filter(Boolean).join(", ")),
     seen.status.verdict ? null : make("p", {}, say(`verdict.${verdict.name}.is`)),
     reason ? make("p", { className: "where" }, reason) : null,

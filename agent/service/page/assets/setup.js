@@ -1,7 +1,7 @@
 /* Set-up of a new machine: one step after the other; the service keeps what was stated. */
 import { askToken } from "./dialogs.js";
 import { byId, make } from "./dom.js";
-import { languageNow, languages, loadWords, onLanguage, say, speak, translate } from "./language.js";
+import { languageNow, languages, loadWords, nameLanguage, onLanguage, say, speak, translate } from "./language.js";
 import { keepToken } from "./requests.js";
 import { connectPanel, drawingPanel, fingerPanel, jogPanel, rest, wrongAxes } from "./setup-checks.js";
 import { fieldOf, placedByHand } from "./setup-fields.js";
@@ -89,8 +89,7 @@ async function next() {
 function words() {
   const other = languages().find((language) => language !== languageNow()) ?? languageNow();
   translate();
-  byId("language").textContent = other.toUpperCase();
-  byId("language").setAttribute("aria-label", say("language.change"));
+  nameLanguage(other);
   byId("language").onclick = () => speak(other);
 }
 
