@@ -13,10 +13,16 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+import structlog
+
 from agent.files import write_all_atomically
 from drivers.errors import InputError, VolcalError
+from drivers.foreign_errors import IN_THE_LOG, cause_of
+
+log = structlog.get_logger()
 
 TIMEOUT_S = 300.0
+LAST_LINES = 20
 EXIT_REPORTED = 2
 """Exit code if the last line on stderr states the reason for the failure."""
 HINT = "render it with `volcal report`"
@@ -45,11 +51,13 @@ def _run(command: Sequence[str], run_id: str) -> None:
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)  # noqa: S603
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise InputError(f"the report of run {run_id} could not be rendered: {error}", hint=HINT) from error
+        raise InputError(f"the report of run {run_id} could not be rendered: {cause_of(error)}", hint=HINT) from error
     if done.returncode:
-        said = (done.stderr.strip().splitlines() or ["the process was terminated"])[-1]
-        text = said if done.returncode == EXIT_REPORTED else f"the report of run {run_id} could not be rendered: {said}"
-        raise InputError(text, hint=HINT)
+        said = done.stderr.strip().splitlines() or ["the process was terminated"]
+        if done.returncode == EXIT_REPORTED:
+            raise InputError(said[-1], hint=HINT)
+        log.error("report not rendered", run_id=run_id, said=said[-LAST_LINES:])
+        raise InputError(f"the report of run {run_id} could not be rendered: {IN_THE_LOG}", hint=HINT)
 
 
 def _read(path: Path) -> str | bytes:
