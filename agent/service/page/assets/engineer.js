@@ -12,6 +12,7 @@ import * as reports from "./section-reports.js";
 import * as tables from "./section-tables.js";
 import * as temperatures from "./section-temperatures.js";
 import * as trend from "./section-trend.js";
+import { told } from "./sentences.js";
 import { on, seen } from "./store.js";
 
 const SECTIONS = { map: maps, curves, trend, parameters, design, tables, events, temperatures, reports };
@@ -113,6 +114,6 @@ function showRuns(section, shown) {
 }
 
 function complaint({ detail, hint }) {
-  return make("section", { className: "card" }, make("h2", {}, say("section.nothing")), make("p", {}, detail),
-    hint ? make("p", { className: "remark" }, hint) : null);
+  return make("section", { className: "card" }, make("h2", {}, say("section.nothing")), make("p", {}, told(detail)),
+    hint ? make("p", { className: "remark" }, told(hint)) : null);
 }

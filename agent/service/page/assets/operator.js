@@ -9,7 +9,8 @@ import { openResiduals } from "./residuals.js";
 import { openResult } from "./result-card.js";
 import { openScene } from "./scene.js";
 import { on, seen } from "./store.js";
-import { AT_REST, doing, eventText, phaseText, runText } from "./wording.js";
+import { told } from "./sentences.js";
+import { AT_REST, doing, eventText, phaseText, runText, stepWords } from "./wording.js";
 
 const RECENT = 4, MINUTE_S = 60;
 
@@ -83,7 +84,7 @@ function render(status, parts) {
 
 /* Alarms are read aloud in every view; the cards, whose buttons come and go, are not announced as a whole. */
 function announce(alarms) {
-  const text = alarms.map((alarm) => `${alarmTitle(alarm)}. ${alarm.text}.`).join(" ");
+  const text = alarms.map((alarm) => `${alarmTitle(alarm)}. ${told(alarm.text)}.`).join(" ");
   if (byId("alarms").textContent !== text) byId("alarms").textContent = text;
 }
 
@@ -108,7 +109,7 @@ function questionCard({ number: asked, text, station, placement }) {
   const answer = (yes) => request("/api/answer", { number: asked, yes }, yes ? "done.yes" : "done.no");
   return make("section", { className: "card question" },
     make("h2", {}, questionTitle(station, placement)),
-    ...(placement ? placementLines(placement) : [make("p", {}, text)]),
+    ...(placement ? placementLines(placement) : [make("p", {}, told(text))]),
     make("div", { className: "actions" },
       make("button", { id: "answer-yes", className: "go", onclick: () => answer(true) }, say("question.yes")),
       make("button", { id: "answer-no", onclick: () => answer(false) }, say("question.no"))));
@@ -171,7 +172,7 @@ function unprovedCard({ unproved, may, alarms }) {
   return make("section", { className: "card alarm", id: "unproved" },
     make("h2", {}, say("unproved.title")),
     make("p", {}, say("unproved.situation", facts)),
-    reason ? make("p", { className: "where" }, say("unproved.reason", { reason })) : null,
+    reason ? make("p", { className: "where" }, say("unproved.reason", { reason: told(reason) })) : null,
     can("restore_former") ? null : make("p", { className: "hint" }, say("unproved.reset_first")),
     make("ol", { className: "ways-out" },
       step(former ? "unproved.restore" : "unproved.restore_none", "restore-former", "unproved.restore.button",
@@ -194,13 +195,13 @@ function alarmTitle({ code }) {
 
 function alarmCard({ code, text, hint, where }) {
   const own = `alarm.${code}.do`;
-  const todo = known(own) ? say(own) : hint;
-  const at = Object.entries(where).map(([name, value]) => `${known(`where.${name}`) ? say(`where.${name}`) : name}: ${value}`);
+  const todo = known(own) ? say(own) : told(hint);
+  const at = Object.entries(where).map(([name, value]) => `${known(`where.${name}`) ? say(`where.${name}`) : name}: ${(name === "step" && stepWords(value)) || value}`);
   return make("section", { className: "card alarm" },
     make("h2", {}, alarmTitle({ code })),
-    make("p", {}, text),
+    make("p", {}, told(text)),
     make("p", { className: "hint" }, `${say("alarm.do")} ${todo}`),
-    hint && !sameWords(hint, inEnglish(own)) ? make("p", {}, hint) : null,
+    hint && !sameWords(hint, inEnglish(own)) ? make("p", {}, told(hint)) : null,
     at.length ? make("p", { className: "where" }, at.join(" · ")) : null);
 }
 
@@ -211,15 +212,15 @@ const sameWords = (one, other) => lettersOf(one) === lettersOf(other);
 /* What the controller was last seen to apply, with the age of that reading; never a guess. */
 function bankText({ active_bank: bank, written_not_active: waiting, read_age_s: age, read_problem: problem }) {
   const known = bank === null ? say("bank.unknown") : bank === 0 ? say("bank.none") : say("bank.number", { bank });
-  const told = waiting === null ? known : say("bank.waiting", { bank: waiting });
-  return make("span", {}, told, age === null ? null : make("small", { className: "age", title: problem }, ageText(age)));
+  const words = waiting === null ? known : say("bank.waiting", { bank: waiting });
+  return make("span", {}, words, age === null ? null : make("small", { className: "age", title: told(problem) }, ageText(age)));
 }
 
 const ageText = (age) => (age < MINUTE_S ? say("age.seconds", { seconds: number(Math.floor(age), 0) }) : say("age.minutes", { minutes: number(Math.floor(age / MINUTE_S), 0) }));
 
 function linkMark({ device, ok, problem, unread }) {
-  const told = say(unread ? "link.unread" : ok ? "link.ok" : "link.lost");
-  const mark = make("li", { title: unread || problem || told }, make("span", { className: "shape", ariaHidden: "true" }), `${device}: ${told}`);
+  const words = say(unread ? "link.unread" : ok ? "link.ok" : "link.lost");
+  const mark = make("li", { title: told(unread || problem) || words }, make("span", { className: "shape", ariaHidden: "true" }), `${device}: ${words}`);
   mark.dataset.look = unread ? "quiet" : ok ? "done" : "fault";
   return mark;
 }

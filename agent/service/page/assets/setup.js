@@ -6,6 +6,7 @@ import { keepToken } from "./requests.js";
 import { connectPanel, drawingPanel, fingerPanel, jogPanel, rest, wrongAxes } from "./setup-checks.js";
 import { fieldOf, placedByHand } from "./setup-fields.js";
 import { reviewPanel } from "./setup-review.js";
+import { loadSentences } from "./sentences.js";
 import { load, onState, seen, settled } from "./setup-state.js";
 import { inPageWords, prose, sentences } from "./setup-words.js";
 import { openTheme } from "./theme.js";
@@ -94,7 +95,7 @@ function words() {
 }
 
 takeToken();
-await loadWords("setup-messages.json");
+await Promise.all([loadWords("setup-messages.json"), loadSentences()]);
 openTheme();
 words();
 await load();
