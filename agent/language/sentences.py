@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import cache, lru_cache
 from importlib import resources
 from typing import Final, Literal
@@ -74,6 +74,8 @@ def in_language(text: str, language: Language) -> str:
 @lru_cache(maxsize=_REMEMBERED)
 def german(text: str) -> str:
     """Return the German of a text: of the sentence that it is, or of those of which it is composed."""
+    if text in catalogue():
+        return catalogue()[text]
     for sentence in _sentences():
         values = sentence.filled(text)
         if values is not None and text not in values.values():
@@ -86,7 +88,7 @@ def _composed(text: str) -> str | None:
     error = _WHOLE_ERROR.fullmatch(text)
     if error is not None and german(error["message"]) != error["message"]:
         hint = f". {german(error['hint'])}" if error["hint"] else ""
-        return f"{german(error['message'])} ({error['places']}){hint}"
+        return f"{german(error['message'])} ({with_german_numbers(error['places'])}){hint}"
     for separator in _SEPARATORS:
         parts = text.split(separator)
         if len(parts) > 1:
@@ -94,8 +96,3 @@ def _composed(text: str) -> str | None:
             if any(one != with_german_numbers(part) for one, part in zip(told, parts, strict=True)):
                 return separator.join(told)
     return None
-
-
-def untranslated(texts: Iterator[str]) -> list[str]:
-    """Return the texts that stay as they are in German."""
-    return [text for text in texts if german(text) == text]

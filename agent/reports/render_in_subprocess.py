@@ -1,7 +1,8 @@
 """Rendering of a report in a subprocess. The memory for drawing is released at the end of the subprocess, and a
 measurement that runs at the same time is not delayed.
 
-The subprocess is ``python -m agent.reports.render_in_subprocess STATE_DIRECTORY RUN_ID INTO [--pdf]``.
+The subprocess is ``python -m agent.reports.render_in_subprocess STATE_DIRECTORY RUN_ID INTO [--pdf]
+[--language LANGUAGE]``.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from pathlib import Path
 import structlog
 
 from agent.files import write_all_atomically
+from agent.language.sentences import LANGUAGES, Language
 from drivers.errors import InputError, VolcalError
 from drivers.foreign_errors import IN_THE_LOG, cause_of
 
@@ -29,7 +31,9 @@ HINT = "render it with `volcal report`"
 TEXT_SUFFIXES = frozenset({".html"})
 
 
-def render_in_subprocess(directory: Path, run_id: str, *, pdf: bool) -> dict[str, str | bytes]:
+def render_in_subprocess(
+    directory: Path, run_id: str, *, pdf: bool, language: Language = "en"
+) -> dict[str, str | bytes]:
     """Return the files that `agent.reports.render_from_journal.render_from_journal` returns, but render them in a
     subprocess.
 
@@ -37,6 +41,7 @@ def render_in_subprocess(directory: Path, run_id: str, *, pdf: bool) -> dict[str
     """
     with tempfile.TemporaryDirectory(prefix="volcal-report-") as folder:
         command = [sys.executable, "-P", "-m", "agent.reports.render_in_subprocess", str(directory), run_id, folder]
+        command += ["--language", language]
         _run([*command, "--pdf"] if pdf else command, run_id)
         return {path.name: _read(path) for path in sorted(Path(folder).iterdir())}
 
@@ -70,11 +75,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("run_id")
     parser.add_argument("into", type=Path)
     parser.add_argument("--pdf", action="store_true")
+    parser.add_argument("--language", choices=LANGUAGES, default=LANGUAGES[0])
     chosen = parser.parse_args(arguments)
     from agent.reports.render_from_journal import render_from_journal  # noqa: PLC0415  the parent process must not load it
 
     try:
-        write_all_atomically(chosen.into, render_from_journal(chosen.directory, chosen.run_id, pdf=chosen.pdf))
+        files = render_from_journal(chosen.directory, chosen.run_id, pdf=chosen.pdf, language=chosen.language)
+        write_all_atomically(chosen.into, files)
     except VolcalError as error:
         sys.stderr.write(f"{error}\n")
         return EXIT_REPORTED

@@ -40,12 +40,13 @@ def test_every_view_and_report_is_accessible_and_abort_is_the_first_stop(chromiu
                 expect(page.locator("dialog")).to_be_visible()
                 assert violations(page) == [], (language, theme, opener)
                 page.keyboard.press("Escape")
-    assert house.command("report", run).returncode == 0
     reported = chromium.new_page()
-    reported.goto((house.state / run / "report.html").as_uri())
-    for scheme in ("light", "dark"):
+    for language, scheme in (("en", "light"), ("de", "dark")):
+        assert house.command("report", run, "--language", language).returncode == 0
+        reported.goto((house.state / run / "report.html").as_uri())
         reported.emulate_media(color_scheme=scheme)
-        assert violations(reported) == [], scheme
+        assert violations(reported) == [], (language, scheme)
+        assert reported.evaluate("document.documentElement.lang") == language
     reported.close()
 
 

@@ -54,7 +54,7 @@ def temperature_note(artefact: ArtefactFacts, temperature_c: Array) -> str:
 def gates(data: ReportData) -> list[dict[str, Any]]:
     return [
         {
-            "name": gate.name,
+            "name": GATE_RULES[gate.name].title,
             "text": gate.text,
             "value": number(gate.value, 3),
             "limit": "none" if np.isinf(gate.limit) else f"{GATE_RULES[gate.name].sign} {number(gate.limit, 3)}",

@@ -4,7 +4,7 @@ import { instant, known, number, say } from "./language.js";
 import { choice, heading, remark, table, wordOr } from "./parts.js";
 import { read } from "./requests.js";
 import { told } from "./sentences.js";
-import { stateWord, stepWords } from "./wording.js";
+import { reasonText, stateWord, stepWords } from "./wording.js";
 
 export const ofRun = true, needsEstimate = false;
 const MOST = 1000;
@@ -30,7 +30,7 @@ export async function parts({ run, again }) {
 const groupOf = ({ kind }) => ({ state: "state", note: "note", event: "measured", asked: "asked", acknowledged: "asked" })[kind] ?? "note";
 
 function textOf({ kind, record }) {
-  if (kind === "state") return [stateWord(record.state), told(record.reason)].filter(Boolean).join(" – ");
+  if (kind === "state") return [stateWord(record.state), record.reason && reasonText(record.reason)].filter(Boolean).join(" – ");
   if (kind === "asked") return [wordOr("kind", record.kind ?? ""), wordOr("source", (record.source ?? "").replaceAll(" ", "_"))].join(" – ");
   if (kind === "acknowledged") return say("events.acknowledged");
   const { step } = record;

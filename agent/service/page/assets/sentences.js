@@ -8,12 +8,12 @@ const SEPARATORS = ["; ", ". ", ", "];
 const DECIMAL = /(?<![\p{L}\p{N}_./:])([+\-−]?\d+)\.(\d+)(?![\p{L}\p{N}_./:]*[\p{L}\p{N}_/:])/gu;
 const INSTANT = /\b(\d{4})-(\d{2})-(\d{2})(?:[T ](\d{2}:\d{2}(?::\d{2})?)(?:\.\d+)?)?(?![\dT-])/g;
 
-let sentences = [];
+let sentences = [], catalogue = {};
 const remembered = new Map();
 
 export async function loadSentences() {
-  const pairs = Object.entries(await (await fetch("/assets/german.json")).json());
-  sentences = pairs.map(sentenceOf).sort((one, other) => other.letters - one.letters);
+  catalogue = await (await fetch("/assets/german.json")).json();
+  sentences = Object.entries(catalogue).map(sentenceOf).sort((one, other) => other.letters - one.letters);
 }
 
 /* Returns a text of the service in the language of the page; what the catalogue does not have stays in English. */
@@ -41,6 +41,7 @@ export function german(text) {
 }
 
 function found(text) {
+  if (Object.hasOwn(catalogue, text)) return catalogue[text];
   for (const sentence of sentences) {
     const values = filled(sentence, text);
     if (values && !Object.values(values).includes(text)) return sentence.words.replaceAll(PLACE, (_, name) => german(values[name]));
@@ -51,7 +52,7 @@ function found(text) {
 /* An error in one line, or a text of several parts of which at least one is known. */
 function composed(text) {
   const error = WHOLE_ERROR.exec(text)?.groups;
-  if (error && german(error.message) !== error.message) return `${german(error.message)} (${error.places})${error.hint ? `. ${german(error.hint)}` : ""}`;
+  if (error && german(error.message) !== error.message) return `${german(error.message)} (${withGermanNumbers(error.places)})${error.hint ? `. ${german(error.hint)}` : ""}`;
   for (const separator of SEPARATORS) {
     const parts = text.split(separator), words = parts.length > 1 ? parts.map(german) : [];
     if (words.some((one, i) => one !== withGermanNumbers(parts[i]))) return words.join(separator);

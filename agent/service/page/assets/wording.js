@@ -87,6 +87,11 @@ export function eventText({ kind, text, data }) {
   return told(text);
 }
 
+/* Reason for the end of a run; the places of an error are named in words, not by their keys. */
+export const reasonText = (reason) => told(reason)
+  .replaceAll(/\bstep ([a-z-]+\/[^\s,)]*)/g, (_, key) => `${say("where.step")} ${stepWords(key) || key}`)
+  .replaceAll(/\((device) /g, `(${say("where.device")} `);
+
 /* Station, orientation and ball of a step in words; empty if it has none. */
 export function stepWords(step) {
   const at = placeOf(step);
