@@ -9,10 +9,6 @@ import errno
 from types import MappingProxyType
 from typing import Final
 
-import structlog
-
-_log = structlog.get_logger("foreign_errors")
-
 IN_THE_LOG: Final = "the log names the cause"
 _PRIMARY_CODE: Final = 0xFF
 """Mask of the primary result code in an extended result code of SQLite."""
@@ -84,7 +80,9 @@ def cause_of(error: BaseException) -> str:
         if known is not None:
             return known
         link = link.__cause__ or link.__context__
-    _log.warning("error of a library or of the operating system", error=repr(error))
+    import structlog  # noqa: PLC0415  commands that log nothing start without it
+
+    structlog.get_logger("foreign_errors").warning("error of a library or of the operating system", error=repr(error))
     return IN_THE_LOG
 
 

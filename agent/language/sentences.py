@@ -9,7 +9,6 @@ from functools import cache, lru_cache
 from importlib import resources
 from typing import Final, Literal
 
-from agent.language.german_numbers import with_german_numbers
 from agent.language.records import WORDS
 
 Language = Literal["en", "de"]
@@ -18,6 +17,9 @@ LANGUAGES: Final[tuple[Language, ...]] = ("en", "de")
 PLACE: Final = re.compile(r"\{(\w+)\}")
 _WHOLE_ERROR: Final = re.compile(r"(?P<message>.+?) \((?P<places>[a-z_]+ [^()]+)\)(?:\. (?P<hint>.+))?", re.DOTALL)
 """Form of an error in one line: message, places and hint (`drivers.errors.VolcalError`)."""
+# neither part of a name, an address, a version or a path, nor followed by one of their signs
+_DECIMAL: Final = re.compile(r"(?<![\w./:])([+\-−]?\d+)\.(\d+)(?![\w./:]*[\w/:])")
+_INSTANT: Final = re.compile(r"\b(\d{4})-(\d{2})-(\d{2})(?:[T ](\d{2}:\d{2}(?::\d{2})?)(?:\.\d+)?)?(?![\dT-])")
 _SEPARATORS: Final = ("; ", ". ", ", ")
 _REMEMBERED: Final = 2000
 
@@ -96,3 +98,13 @@ def _composed(text: str) -> str | None:
             if any(one != with_german_numbers(part) for one, part in zip(told, parts, strict=True)):
                 return separator.join(told)
     return None
+
+
+def with_german_numbers(text: str) -> str:
+    """Return the text with decimal commas and German dates; names, versions and addresses stay as they are."""
+    return _DECIMAL.sub(r"\1,\2", _INSTANT.sub(_german_instant, text))
+
+
+def _german_instant(found: re.Match[str]) -> str:
+    year, month, day, time = found.groups()
+    return f"{day}.{month}.{year}" + (f" {time}" if time else "")

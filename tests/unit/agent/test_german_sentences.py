@@ -10,9 +10,8 @@ from importlib import resources
 import pytest
 from sentences_in_source import all_texts, sentences
 
-from agent.language.german_numbers import with_german_numbers
 from agent.language.records import WORDS, record_in_words
-from agent.language.sentences import PLACE, catalogue, german, in_language
+from agent.language.sentences import PLACE, catalogue, german, in_language, with_german_numbers
 from agent.results.gates import GATE_RULES
 from drivers.foreign_errors import BY_ERRNO, BY_SQLITE_CODE, IN_THE_LOG
 
