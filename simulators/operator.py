@@ -11,6 +11,7 @@ from pydantic import Field
 
 from drivers.clock import Clock
 from drivers.errors import CommandRejected, LinkLost, LinkTimeout, ProtocolError
+from drivers.foreign_errors import cause_of
 from drivers.options import DriverOptions
 from drivers.registry import DeviceContext, DriverPlugin
 from drivers.roles import DiagnosticFinding, OperatorRequest, OperatorTask, PlacementRequest
@@ -52,7 +53,7 @@ class SimulatedOperator:
                 (self._settings.host, self._settings.port), timeout=self._settings.response_timeout_s
             )
         except OSError as error:
-            raise self._lost(f"no answer at {self._address}: {error}") from error
+            raise self._lost(f"no answer at {self._address}: {cause_of(error)}") from error
         self._request({"do": "status"})
 
     def close(self) -> None:
@@ -106,7 +107,7 @@ class SimulatedOperator:
             ) from error
         except OSError as error:
             self.close()
-            raise self._lost(str(error)) from error
+            raise self._lost(cause_of(error)) from error
         return self._decode(reply)
 
     def _receive_line(self, connection: socket.socket) -> bytes:

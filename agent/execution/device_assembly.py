@@ -14,6 +14,7 @@ from agent.settings.schema import ClockSettings, Settings, StationSettings
 from drivers.address_filter import filter_hint
 from drivers.clock import INTERRUPT_SLICE_S, Clock, LockstepClock, RealClock, ScaledClock
 from drivers.errors import ConfigurationError
+from drivers.foreign_errors import cause_of
 from drivers.registry import DeviceContext, create_device
 from drivers.roles import (
     CompensationStore,
@@ -46,7 +47,7 @@ def make_clock(settings: ClockSettings) -> Clock:
                 return LockstepClock(settings.host, settings.port)
             except OSError as error:
                 raise ConfigurationError(
-                    f"no simulator serves time at {settings.host}:{settings.port}: {error.strerror or error}",
+                    f"no simulator serves time at {settings.host}:{settings.port}: {cause_of(error)}",
                     key="clock",
                     hint=filter_hint(
                         "start `volcal simulate --clock lockstep` first, or use kind = 'real'", settings.host

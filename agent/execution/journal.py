@@ -28,6 +28,7 @@ from agent.execution.steps import Conclude, Enter, ReadTemperatures, Record, Ste
 from agent.files import create_directory
 from drivers.clock import Clock, utc_timestamp
 from drivers.errors import ConfigurationError
+from drivers.foreign_errors import cause_of
 from drivers.roles import TableImage
 
 _DISK_HINT = "check the disk under `state_directory`"
@@ -51,7 +52,7 @@ class Journal:
             prepare(self._connection, self.path)
         except (OSError, sqlite3.Error) as error:
             raise ConfigurationError(
-                f"the journal cannot be opened: {error}",
+                f"the journal cannot be opened: {cause_of(error)}",
                 file=str(self.path),
                 hint="check `state_directory`, its owner and the free space",
             ) from error
@@ -72,7 +73,7 @@ class Journal:
             raise Busy(f"run {run_id} exists already", file=str(self.path)) from error
         except sqlite3.Error as error:
             raise JournalFailed(
-                f"the journal cannot be written: {error}", hint=_DISK_HINT, file=str(self.path)
+                f"the journal cannot be written: {cause_of(error)}", hint=_DISK_HINT, file=str(self.path)
             ) from error
         assert cursor.lastrowid is not None  # noqa: S101  an INSERT has one
         return RunJournal(self._connection, cursor.lastrowid, run_id, clock)
@@ -112,7 +113,9 @@ class Journal:
                 (utc_timestamp(), kind, to_json(record), run_id),
             )
         except sqlite3.Error as error:
-            raise JournalFailed(f"{what} cannot be recorded: {error}", hint=_DISK_HINT, file=str(self.path)) from error
+            raise JournalFailed(
+                f"{what} cannot be recorded: {cause_of(error)}", hint=_DISK_HINT, file=str(self.path)
+            ) from error
 
 
 @dataclass
@@ -295,7 +298,7 @@ class RunJournal:
         try:
             return JournalReader(self._connection).image_with_digest(self._run, crc32)
         except sqlite3.Error as error:
-            raise JournalFailed(f"the journal cannot be read: {error}", hint=_DISK_HINT) from error
+            raise JournalFailed(f"the journal cannot be read: {cause_of(error)}", hint=_DISK_HINT) from error
 
     def state(self, state: RunState, reason: str = "", *, final: bool = False) -> None:
         with self._transaction():
@@ -350,7 +353,7 @@ class RunJournal:
         try:
             return self._connection.execute(statement, values)
         except sqlite3.Error as error:
-            raise JournalFailed(f"the journal cannot be written: {error}", hint=_DISK_HINT) from error
+            raise JournalFailed(f"the journal cannot be written: {cause_of(error)}", hint=_DISK_HINT) from error
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:

@@ -22,6 +22,7 @@ from agent.execution.journal_rows import RunRow
 from agent.execution.journal_schema import FILE_NAME, VERSION, prepare
 from agent.execution.packed_run import PackedRun
 from agent.execution.states import FINAL, RunState
+from drivers.foreign_errors import cause_of
 from twin.formats.compressed_text import MAX_TEXT_BYTES, compress_text
 
 _HINT = "check the disk under `state_directory`; no run in the journal was changed by this"
@@ -172,4 +173,6 @@ def _connected(directory: Path, option: str) -> Iterator[sqlite3.Connection]:
             connection.isolation_level = None
             yield connection
     except sqlite3.Error as error:
-        raise JournalFailed(f"the journal cannot be compacted: {error}", hint=_HINT, file=str(path)) from error
+        raise JournalFailed(
+            f"the journal cannot be compacted: {cause_of(error)}", hint=_HINT, file=str(path)
+        ) from error

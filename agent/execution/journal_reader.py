@@ -34,6 +34,7 @@ from agent.execution.journal_schema import FILE_NAME, is_empty, require_version
 from agent.execution.packed_run import PackedRun, expand_stored_text
 from agent.execution.stored_json import damage_reported
 from drivers.errors import ConfigurationError, InputError, VolcalError
+from drivers.foreign_errors import cause_of
 
 if TYPE_CHECKING:
     from drivers.roles import TableImage
@@ -115,7 +116,7 @@ def open_journal(directory: Path, failure: type[VolcalError] = InputError) -> It
             with damage_reported(failure, path):
                 yield JournalReader(connection, path)
     except sqlite3.Error as error:
-        raise failure(f"the journal cannot be read: {error}", file=str(path)) from error
+        raise failure(f"the journal cannot be read: {cause_of(error)}", file=str(path)) from error
 
 
 class JournalReader:

@@ -15,6 +15,7 @@ from typing import TextIO
 from agent.errors import Busy
 from agent.files import create_directory
 from drivers.errors import ConfigurationError
+from drivers.foreign_errors import cause_of
 
 FILE_NAME = "run.lock"
 
@@ -90,7 +91,7 @@ def _open_lock_file(directory: Path) -> TextIO:
         return (directory / FILE_NAME).open("a+", encoding="utf-8")
     except OSError as error:
         raise ConfigurationError(
-            f"the state directory cannot be used: {error.strerror or error}",
+            f"the state directory cannot be used: {cause_of(error)}",
             key="state_directory",
             hint="set a directory that this user may write to",
             file=str(directory),

@@ -30,7 +30,7 @@ def stored_json(text: str) -> Any:
     try:
         return json.loads(text, object_hook=StoredRecord)
     except (ValueError, TypeError, RecursionError) as error:
-        raise InputError(f"the journal is damaged: a record cannot be read ({error})", hint=HINT) from error
+        raise InputError("the journal is damaged: a record cannot be read", hint=HINT) from error
 
 
 @contextmanager
@@ -43,5 +43,5 @@ def damage_reported(failure: type[VolcalError], path: Path | None = None) -> Ite
         raise
     except _DAMAGE as error:
         where = {} if path is None else {"file": str(path)}
-        message = f"the journal is damaged: a record cannot be used ({type(error).__name__}: {error})"
+        message = "the journal is damaged: a record cannot be used"
         raise failure(message, hint=HINT, **where) from error

@@ -13,9 +13,12 @@ from agent.history.database_url import database_address
 from agent.history.store import HistoryStore
 from agent.history.sync import sync_ends
 from agent.settings.schema import Settings
-from drivers.errors import VolcalError
+from drivers.errors import LinkLost, VolcalError
 
 log = structlog.get_logger()
+
+UNREACHED = "its database cannot be reached. No data are lost: `volcal history sync` copies the run later"
+"""Text in place of what the database said, which is in the log."""
 
 
 def update_history(settings: Settings, run_id: str) -> str:
@@ -30,6 +33,6 @@ def update_history(settings: Settings, run_id: str) -> str:
             written = sync_ends(settings.state_directory, store)
     except VolcalError as error:
         log.warning("history not updated", run=run_id, reason=str(error))
-        return f"the history was not updated: {error}"
+        return f"the history was not updated: {UNREACHED if isinstance(error, LinkLost) else error}"
     log.info("history updated", run=run_id, runs=len(written))
     return ""

@@ -18,8 +18,8 @@ Occasion = Literal["alarm", "end", "question", "not-started", "started", "state"
 
 @dataclass(frozen=True)
 class NoticeAlarm:
-    """Alarm in a notice. `code` is its number (docs/reference/alarms.md), `meaning` and `remedy` are its general texts
-    in the language of the notice, and `text` and `hint` are those of this very error, in English."""
+    """Alarm in a notice, in the language of the notice. `code` is its number (docs/reference/alarms.md), `meaning` and
+    `remedy` are its general texts, and `text` and `hint` are those of this very error."""
 
     code: int
     meaning: str

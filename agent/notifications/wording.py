@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Iterator, Sequence
-from typing import Final, Literal
+from typing import Final
 
+from agent.language.sentences import Language
 from agent.notifications.notice import Notice, NoticeAlarm, NoticeRun
 from drivers.clock import utc_timestamp
-
-Language = Literal["en", "de"]
 
 WORDS: Final[dict[str, dict[Language, str]]] = {
     "alarm": {"en": "alarm {code}: {meaning}", "de": "Alarm {code}: {meaning}"},

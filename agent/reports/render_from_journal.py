@@ -13,6 +13,8 @@ from agent.history.run_row import run_rows
 from agent.history.schema import StoredRun
 from agent.history.store import stored_run
 from agent.history.trends import Trend
+from agent.language.sentences import Language
+from agent.reports.page.german import report_in_german
 from agent.reports.page.pdf import render_pdf
 from agent.reports.page.render import render_report
 from agent.reports.run_report import report_of
@@ -22,7 +24,9 @@ MIN_RUNS = 3
 _MOST_TRENDS = 4
 
 
-def render_from_journal(directory: Path, run_id: str, *, pdf: bool) -> dict[str, str | bytes]:
+def render_from_journal(
+    directory: Path, run_id: str, *, pdf: bool, language: Language = "en"
+) -> dict[str, str | bytes]:
     """Return the files of the report of the run `run_id`: `report.html` and, if `pdf` is set, `report.pdf`.
 
     `directory` is the state directory with the journal. Raises InputError if there is no such run, or if its record
@@ -30,6 +34,8 @@ def render_from_journal(directory: Path, run_id: str, *, pdf: bool) -> dict[str,
     """
     record = read_record(directory, run_id)
     page = render_report(report_of(record, _trend_figure(directory, record)))
+    if language == "de":
+        page = report_in_german(page)
     files: dict[str, str | bytes] = {"report.html": page}
     if pdf:
         files["report.pdf"] = render_pdf(page)

@@ -1,7 +1,8 @@
 """Rendering of a report in a subprocess. The memory for drawing is released at the end of the subprocess, and a
 measurement that runs at the same time is not delayed.
 
-The subprocess is ``python -m agent.reports.render_in_subprocess STATE_DIRECTORY RUN_ID INTO [--pdf]``.
+The subprocess is ``python -m agent.reports.render_in_subprocess STATE_DIRECTORY RUN_ID INTO [--pdf]
+[--language LANGUAGE]``.
 """
 
 from __future__ import annotations
@@ -13,17 +14,26 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+import structlog
+
 from agent.files import write_all_atomically
+from agent.language.sentences import LANGUAGES, Language
 from drivers.errors import InputError, VolcalError
+from drivers.foreign_errors import IN_THE_LOG, cause_of
+
+log = structlog.get_logger()
 
 TIMEOUT_S = 300.0
+LAST_LINES = 20
 EXIT_REPORTED = 2
 """Exit code if the last line on stderr states the reason for the failure."""
 HINT = "render it with `volcal report`"
 TEXT_SUFFIXES = frozenset({".html"})
 
 
-def render_in_subprocess(directory: Path, run_id: str, *, pdf: bool) -> dict[str, str | bytes]:
+def render_in_subprocess(
+    directory: Path, run_id: str, *, pdf: bool, language: Language = "en"
+) -> dict[str, str | bytes]:
     """Return the files that `agent.reports.render_from_journal.render_from_journal` returns, but render them in a
     subprocess.
 
@@ -31,6 +41,7 @@ def render_in_subprocess(directory: Path, run_id: str, *, pdf: bool) -> dict[str
     """
     with tempfile.TemporaryDirectory(prefix="volcal-report-") as folder:
         command = [sys.executable, "-P", "-m", "agent.reports.render_in_subprocess", str(directory), run_id, folder]
+        command += ["--language", language]
         _run([*command, "--pdf"] if pdf else command, run_id)
         return {path.name: _read(path) for path in sorted(Path(folder).iterdir())}
 
@@ -45,11 +56,13 @@ def _run(command: Sequence[str], run_id: str) -> None:
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)  # noqa: S603
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise InputError(f"the report of run {run_id} could not be rendered: {error}", hint=HINT) from error
+        raise InputError(f"the report of run {run_id} could not be rendered: {cause_of(error)}", hint=HINT) from error
     if done.returncode:
-        said = (done.stderr.strip().splitlines() or ["the process was terminated"])[-1]
-        text = said if done.returncode == EXIT_REPORTED else f"the report of run {run_id} could not be rendered: {said}"
-        raise InputError(text, hint=HINT)
+        said = done.stderr.strip().splitlines() or ["the process was terminated"]
+        if done.returncode == EXIT_REPORTED:
+            raise InputError(said[-1], hint=HINT)
+        log.error("report not rendered", run_id=run_id, said=said[-LAST_LINES:])
+        raise InputError(f"the report of run {run_id} could not be rendered: {IN_THE_LOG}", hint=HINT)
 
 
 def _read(path: Path) -> str | bytes:
@@ -62,11 +75,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("run_id")
     parser.add_argument("into", type=Path)
     parser.add_argument("--pdf", action="store_true")
+    parser.add_argument("--language", choices=LANGUAGES, default=LANGUAGES[0])
     chosen = parser.parse_args(arguments)
     from agent.reports.render_from_journal import render_from_journal  # noqa: PLC0415  the parent process must not load it
 
     try:
-        write_all_atomically(chosen.into, render_from_journal(chosen.directory, chosen.run_id, pdf=chosen.pdf))
+        files = render_from_journal(chosen.directory, chosen.run_id, pdf=chosen.pdf, language=chosen.language)
+        write_all_atomically(chosen.into, files)
     except VolcalError as error:
         sys.stderr.write(f"{error}\n")
         return EXIT_REPORTED

@@ -20,6 +20,7 @@ import numpy as np
 from agent.execution.journal_rows import EventRow
 from agent.execution.run_record import RunRecord
 from agent.files import translated
+from agent.language.records import record_in_words
 from agent.reports.page import (
     EventLine,
     Header,
@@ -321,24 +322,7 @@ def _line(note: EventRow) -> str:
     if note.kind == "state":
         reason = note.record.get("reason")
         return f"{note.record['state']}: {reason}" if reason else str(note.record["state"])
-    if note.kind == "note":
-        others = record_in_words({name: value for name, value in note.record.items() if name != "text"})
-        return f"{note.record['text']} ({others})" if others else str(note.record["text"])
     return record_in_words(note.record)
-
-
-def record_in_words(record: Mapping[str, Any]) -> str:
-    """Return a journal record as a text of the form `name value, name value`. Floats have four significant digits, and
-    empty values are left out."""
-    return ", ".join(f"{name} {_shown(value)}" for name, value in record.items() if value not in ("", None))
-
-
-def _shown(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    if isinstance(value, list):
-        return "[" + ", ".join(_shown(part) for part in value) + "]"
-    return str(value)
 
 
 def night_of(record: RunRecord) -> Mapping[str, Any] | None:
@@ -377,9 +361,9 @@ def _night_rows(night: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("VCE after that night", _um(night["ve_before_um"])),
         ("VCE now", _um(night["ve_now_um"])),
         ("VCE with an updated table", _um(night["ve_after_um"])),
-        ("Held-out balls, rms", f"{held_out}, expected {expected}"),
+        ("Residuals of the held-out balls, rms", f"{held_out}, expected {expected}"),
         ("Consistency with the prediction", "–" if chi2 is None else f"normalised χ² {fixed(chi2, 2)}"),
-        *([("Finds a step of any squareness by", _found_step(night["finds"]))] if night.get("finds") else []),
+        *([("Smallest detectable step of a squareness", _found_step(night["finds"]))] if night.get("finds") else []),
         ("Abrupt changes", _error_changes(night["jumped"]) or "none"),
         ("Most likely cause", _error_changes(night["likeliest"]) or "–"),
         *([("If one error changed", _possible_changes(night["alternatives"]))] if night.get("alternatives") else []),

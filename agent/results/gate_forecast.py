@@ -129,7 +129,9 @@ def require_forecast(forecasts: Sequence[GateForecast]) -> None:
     """Raise ForecastRefused, which names the key of every limit that is expected to refuse the run, if there is one."""
     refused = [forecast for forecast in forecasts if not forecast.passes]
     if refused:
-        named = "; ".join(f"gate {forecast.gate}: {forecast.figures}" for forecast in refused)
+        named = "; ".join(
+            GATE_RULES[forecast.gate].sentence(forecast.expected_text, forecast.limit) for forecast in refused
+        )
         raise ForecastRefused(
             f"a run with these settings is expected to be refused: {named}",
             hint="; ".join(f"{forecast.key}: {forecast.remedy}" for forecast in refused),

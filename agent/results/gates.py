@@ -60,11 +60,14 @@ PROBE, PROOF, PROOF_FIT = "probe", "proof", "proof fit"
 
 @dataclass(frozen=True)
 class GateRule:
-    """Settings key of the limit of a gate, and what to do if a run is expected not to pass it.
+    """Name of what a gate limits with its unit, settings key of the limit, and what to do if a run is expected not to
+    pass it.
 
     `at_least` is True if the value must reach the limit, False if it must not exceed it.
     """
 
+    title: str
+    unit: str
     key: str
     remedy: str
     at_least: bool = False
@@ -74,6 +77,11 @@ class GateRule:
         """Sign between the value and the limit of a gate that is passed."""
         return "≥" if self.at_least else "≤"
 
+    def sentence(self, found: str, limit: float) -> str:
+        """Return the sentence that says what was found, a number or that there is none, and what is required."""
+        unit = f" {self.unit}" if self.unit else ""
+        return f"{self.title}: {found}{unit}, required {self.sign} {significant(limit)}{unit}"
+
 
 _MORE = "measure more positions (`procedure.position_set`, `procedure.stations`; `volcal rank` says which help)"
 _FAMILY = "raise the limit, or check `model.family` in the machine file"
@@ -81,41 +89,85 @@ _EXPECTED_CHI2 = "set it to more than 1, which is the expected value"
 
 GATE_RULES: Mapping[str, GateRule] = {
     PROBE: GateRule(
+        "repeatability of the probe",
+        "µm",
         "probe_check.limit_um",
         "set it to twice `procedure.touch_sigma_um` or more, or state there how well the probe repeats",
     ),
-    FIT: GateRule("gates.max_chi2", _EXPECTED_CHI2),
-    "redundancy": GateRule("gates.min_degrees_of_freedom", f"{_MORE}, or lower the limit", at_least=True),
+    FIT: GateRule("fit of the model", "", "gates.max_chi2", _EXPECTED_CHI2),
+    "redundancy": GateRule(
+        "redundant measurements", "", "gates.min_degrees_of_freedom", f"{_MORE}, or lower the limit", at_least=True
+    ),
     CERTIFICATE: GateRule(
-        "gates.max_certificate_sigma", "raise the limit; the largest of several right balls reaches this value"
+        "contradiction to the certificate",
+        "standard deviations",
+        "gates.max_certificate_sigma",
+        "raise the limit; the largest of several right balls reaches this value",
     ),
-    STEP: GateRule("gates.step_false_alarm", "lower the limit, which is a probability", at_least=True),
-    PATTERN: GateRule("gates.pattern_false_alarm", "lower the limit, which is a probability", at_least=True),
-    COMMON_SCALE: GateRule("gates.common_scale_false_alarm", "lower the limit, which is a probability", at_least=True),
-    CHANGE: GateRule("gates.max_change", "raise the limit; an unchanged machine reaches this value"),
+    STEP: GateRule(
+        "change of the machine while measuring, probability",
+        "",
+        "gates.step_false_alarm",
+        "lower the limit, which is a probability",
+        at_least=True,
+    ),
+    PATTERN: GateRule(
+        "pattern of shifts, probability",
+        "",
+        "gates.pattern_false_alarm",
+        "lower the limit, which is a probability",
+        at_least=True,
+    ),
+    COMMON_SCALE: GateRule(
+        "common scale of the axes, probability",
+        "",
+        "gates.common_scale_false_alarm",
+        "lower the limit, which is a probability",
+        at_least=True,
+    ),
+    CHANGE: GateRule(
+        "change since the last accepted night",
+        "",
+        "gates.max_change",
+        "raise the limit; an unchanged machine reaches this value",
+    ),
     NIGHT: GateRule(
-        "gates.night_false_alarm", "lower the limit; a night that fits reaches this probability", at_least=True
+        "night after the nights before, probability",
+        "",
+        "gates.night_false_alarm",
+        "lower the limit; a night that fits reaches this probability",
+        at_least=True,
     ),
-    "correction": GateRule("gates.max_correction_um", _FAMILY),
-    "slope": GateRule("gates.max_slope_um_per_mm", _FAMILY),
+    "correction": GateRule("largest correction", "µm", "gates.max_correction_um", _FAMILY),
+    "slope": GateRule("steepest correction", "µm/mm", "gates.max_slope_um_per_mm", _FAMILY),
     "extrapolation": GateRule(
+        "share outside the measured region",
+        "",
         "gates.allow_extrapolation",
         "allow it, or narrow `axes.*.range_mm` in the machine file to the travel that the balls reach",
     ),
     "unmeasured": GateRule(
+        "remaining share of the error outside the measured region",
+        "",
         "gates.max_unmeasured_fraction",
         f"{_MORE}, narrow `axes.*.range_mm` in the machine file, or raise the limit",
     ),
     "gain": GateRule(
-        "verification.min_gain", f"{_MORE}, or lower the limit; a run would keep the active compensation", at_least=True
+        "gain of the new table",
+        "",
+        "verification.min_gain",
+        f"{_MORE}, or lower the limit; a run would keep the active compensation",
+        at_least=True,
     ),
     PROOF: GateRule(
+        "power of the proof",
+        "",
         "verification.positions",
         "hold out more positions, or touch each ball more often (`procedure.touches_per_ball`); a run would keep the "
         "active compensation",
         at_least=True,
     ),
-    PROOF_FIT: GateRule("verification.max_chi2", _EXPECTED_CHI2),
+    PROOF_FIT: GateRule("fit of the proof", "", "verification.max_chi2", _EXPECTED_CHI2),
 }
 """Rule of each gate, by its name."""
 
@@ -408,9 +460,10 @@ def names_of_failed(gates: Sequence[Gate]) -> tuple[str, ...]:
 def reasons(gates: Sequence[Gate]) -> str:
     """Return a text that names every one of `gates` that was not passed, with its value and its limit."""
     return "; ".join(
-        f"gate {gate.name}: {gate.figures} ({GATE_RULES[gate.name].key}; {gate.text})"
+        f"{rule.sentence(significant(gate.value), gate.limit)} ({rule.key}; {gate.text})"
         for gate in gates
         if not gate.passed
+        for rule in (GATE_RULES[gate.name],)
     )
 
 

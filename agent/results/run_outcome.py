@@ -76,7 +76,8 @@ class Confirmation:
             )
         return (
             f"{Decision.CONFIRMED.value}: the active compensation is kept, VE {self.kept_um:.2f} µm; a new table is "
-            f"expected to leave {self.new_um:.2f} µm, and is written from {100.0 * self.min_gain:.0f} % less on"
+            f"expected to leave {self.new_um:.2f} µm; it is written only if it lowers the VE by "
+            f"{100.0 * self.min_gain:.0f} % or more"
         )
 
 

@@ -34,9 +34,9 @@ def carry_out_guarded(plan: RunPlan, job: Job, context: RunContext, results: Run
     except VolcalError as error:
         results.error = error
         _Guard(job, context, results).leave_safely(error)
-    except BaseException as defect:
+    except BaseException:
         # A defect of the agent must become visible, but only once the machine is as it was found.
-        told = VolcalError(f"defect in the agent: {defect!r}", hint="please report it")
+        told = VolcalError("internal error of the program", hint="save the diagnostics and report the error")
         _Guard(job, context, results).leave_safely(told)
         raise
 

@@ -148,4 +148,4 @@ def alarm_of(error: BaseException) -> Alarm:
         of_file = not isinstance(error, errors.InputError) or "file" in error.where
         general = found if of_file else CODES[errors.UserError]
         return Alarm(found.code, error.message, error.hint or general.hint, MappingProxyType(dict(error.where)))
-    return Alarm(found.code, f"{found.text}: {type(error).__name__}: {error}", found.hint)
+    return Alarm(found.code, found.text, found.hint)

@@ -21,6 +21,7 @@ from drivers.canopen_mount.emergency import emergency_text
 from drivers.canopen_mount.objects import STATUSWORD, DriveObject
 from drivers.clock import Clock
 from drivers.errors import CommandRejected, DeviceError, LinkTimeout, MotionFault, ProtocolError
+from drivers.foreign_errors import cause_of
 from drivers.links.can_bus import CanLink
 
 T = TypeVar("T")
@@ -129,7 +130,7 @@ class DriveNode:
             self._link.check()
             self._node.nmt.state = "OPERATIONAL"
         except (can.CanError, OSError) as error:
-            raise self._link.lost_error(str(error)).at(**self.where) from error
+            raise self._link.lost_error(cause_of(error)).at(**self.where) from error
         self.read(STATUSWORD)
 
     def _require_open_for_a_run(self) -> None:
@@ -194,23 +195,25 @@ class DriveNode:
                 return exchange()
             except canopen.SdoAbortedError as error:
                 raise CommandRejected(
-                    f"the drive refused {entry}: {error}", hint="compare with the drive's manual", **self.where
+                    f"the drive refused {entry}: abort code 0x{error.code:08X}",
+                    hint="compare with the drive's manual",
+                    **self.where,
                 ) from error
             except canopen.SdoCommunicationError as error:
                 raise self._unanswered(entry, error) from error
             except struct.error as error:
                 raise ProtocolError(
-                    f"the SDO answer for {entry} is too short: {error}",
+                    f"the SDO answer for {entry} is too short",
                     hint="every SDO frame has 8 bytes: check that no other device uses the identifiers of this node",
                     **self.where,
                 ) from error
             except (can.CanError, OSError) as error:
-                raise self._link.lost_error(str(error)).at(**self.where) from error
+                raise self._link.lost_error(cause_of(error)).at(**self.where) from error
 
     def _unanswered(self, entry: str, error: Exception) -> DeviceError:
         if "No SDO response" not in str(error):
             return ProtocolError(
-                f"unexpected SDO answer for {entry}: {error}",
+                f"unexpected SDO answer for {entry}: {cause_of(error)}",
                 hint="check that no other CANopen master talks to this node",
                 **self.where,
             )

@@ -31,6 +31,7 @@ from can.interfaces.socketcand import SocketCanDaemonBus
 from drivers.address_filter import filter_hint
 from drivers.clock import wall_seconds
 from drivers.errors import ConfigurationError, LinkLost
+from drivers.foreign_errors import OurWords, cause_of
 
 Option = str | int | float | bool
 
@@ -41,6 +42,10 @@ SEND_WITHIN_S = 1.0
 """Longest time in s for sending; a serial adapter that accepts no bytes for so long counts as dead."""
 FLAGS_WITHIN_S = 1.0
 """Time limit in s for the answer to a status query; some adapters do not support the query."""
+
+
+class BusFailure(OurWords, can.CanOperationError):
+    """Failure of the bus that is found here and not in python-can."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +82,7 @@ class SocketcandBus(SocketCanDaemonBus):
             if not readable:
                 return None, False
             if not stream.recv(1, socket.MSG_PEEK):
-                raise can.CanOperationError("the socketcand server closed the connection")
+                raise BusFailure("the socketcand server closed the connection")
         message, filtered = super()._recv_internal(0.0)  # type: ignore[no-untyped-call]
         return message, filtered
 
@@ -191,7 +196,7 @@ class SlcanBus(slcanBus):
             if readable:
                 self._buffer.extend(port.read(max(1, port.in_waiting)))
         except (OSError, TypeError, ValueError) as error:  # pyserial raises OSError, or the others for a closed port
-            raise can.CanOperationError(f"the serial port of the adapter is gone: {error}") from error
+            raise BusFailure(f"the serial port of the adapter is gone: {cause_of(error)}") from error
         return bool(readable)
 
 
@@ -228,12 +233,12 @@ def _translate_errors(address: CanAddress) -> Iterator[None]:
         yield
     except (can.CanInterfaceNotImplementedError, TypeError, ValueError, KeyError, ImportError) as error:
         raise ConfigurationError(
-            f"the CAN bus cannot be opened with these settings: {error!r}",
+            f"the CAN bus cannot be opened with these settings: {cause_of(error)}",
             link=address.name,
             hint="check interface, channel and options against python-can's list of interfaces",
         ) from error
     except (can.CanError, OSError) as error:
-        raise LinkLost(f"cannot open the CAN bus: {error}", link=address.name, hint=_hint(address)) from error
+        raise LinkLost(f"cannot open the CAN bus: {cause_of(error)}", link=address.name, hint=_hint(address)) from error
 
 
 def _hint(address: CanAddress) -> str:

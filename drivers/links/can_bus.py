@@ -27,7 +27,8 @@ import structlog
 from canopen.objectdictionary import ObjectDictionary
 
 from drivers.errors import ConfigurationError, LinkLost
-from drivers.links.can_adapters import ECHOING_INTERFACES, CanAddress, SlcanBus, open_bus
+from drivers.foreign_errors import cause_of
+from drivers.links.can_adapters import ECHOING_INTERFACES, BusFailure, CanAddress, SlcanBus, open_bus
 
 for _library in ("can", "canopen"):  # errors that they log are raised as typed errors here
     logging.getLogger(_library).addHandler(logging.NullHandler())
@@ -92,7 +93,7 @@ class _Receiver(threading.Thread):
 
     def _handle_error_frame(self, classes: int) -> None:
         if classes & BUS_OFF:
-            self.failure = can.CanOperationError("the CAN controller has gone off the bus (bus-off)")
+            self.failure = BusFailure("the CAN controller has gone off the bus (bus-off)")
             self._stopping.set()
         elif classes & CONTROLLER_PROBLEM and not self._warned:
             self._warned = True
@@ -228,7 +229,7 @@ class CanLink:
         """Raise LinkLost if the thread that receives the frames has ended."""
         failure = self._require_open().receiver.failure
         if failure is not None:
-            raise self.lost_error(f"receiving has stopped: {failure}")
+            raise self.lost_error(f"receiving has stopped: {cause_of(failure)}")
 
     def adapter_status_text(self) -> str:
         """Query the status of the CAN adapter and return it as text.
@@ -241,7 +242,7 @@ class CanLink:
         try:
             reported = bus.status_text()
         except (can.CanError, OSError) as error:
-            raise self.lost_error(str(error)) from error
+            raise self.lost_error(cause_of(error)) from error
         return f"{reported}; it has refused {bus.refusals} commands" if bus.refusals else reported
 
     def lost_error(self, what: str) -> LinkLost:

@@ -25,6 +25,7 @@ import serial
 
 from drivers.clock import Clock, wall_seconds, without_interrupts
 from drivers.errors import LinkLost, LinkTimeout, ProtocolError
+from drivers.foreign_errors import cause_of
 from drivers.links.modbus_serial_line import ADDRESS_AND_CRC, SerialLine, build_frame, has_valid_crc
 from drivers.links.modbus_transport import EXCEPTION_BIT, READ, WRITE, WRITE_AND_READ, DamagedFrame, answer_length
 
@@ -91,7 +92,7 @@ class RtuTransport:
             )
         except (OSError, ValueError, termios.error) as error:
             raise LinkLost(
-                f"the serial port cannot be opened: {error}",
+                f"the serial port cannot be opened: {cause_of(error)}",
                 hint="check serial.port, that the adapter is plugged in, that this user may open it (group dialout), "
                 "and that no other program has it open",
                 **self._where,
@@ -127,7 +128,7 @@ class RtuTransport:
         except OSError as error:
             self.close()
             raise LinkLost(
-                f"serial port lost: {error}", hint="check that the adapter is plugged in", **self._where
+                f"serial port lost: {cause_of(error)}", hint="check that the adapter is plugged in", **self._where
             ) from error
         finally:
             self._pass_time(started_s + duration_s)

@@ -13,17 +13,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol, cast
 
+import structlog
 from pymodbus.client import ModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusException, ModbusIOException
 from pymodbus.pdu import ExceptionResponse, ModbusPDU
 
 from drivers.address_filter import filter_hint
 from drivers.errors import LinkError, LinkLost, LinkTimeout
+from drivers.foreign_errors import cause_of
 from drivers.links.modbus_transport import EXCEPTION_BIT, DamagedFrame
 
 # Each pymodbus log record is also raised as a typed error here; without this handler, logging's handler of last
 # resort would print the record to stderr as well.
 logging.getLogger("pymodbus").addHandler(logging.NullHandler())
+_log = structlog.get_logger("modbus_tcp")
 
 
 @dataclass(frozen=True)
@@ -82,7 +85,9 @@ class TcpTransport:
         except (ConnectionException, OSError) as error:
             self.close()
             raise LinkLost(
-                f"connection lost: {error}", hint="check the cable and that the controller is on", **self._where
+                f"connection lost: {_why_lost(error)}",
+                hint="check the cable and that the controller is on",
+                **self._where,
             ) from error
         except ModbusException as error:
             raise self._io_error(error) from error
@@ -99,7 +104,13 @@ class TcpTransport:
                 hint="check unit id, cable and the load of the controller",
                 **self._where,
             )
-        return DamagedFrame(f"the answer cannot be decoded: {error}", **self._where)
+        _log.info("answer cannot be decoded", error=repr(error), **self._where)
+        return DamagedFrame("the answer cannot be decoded", **self._where)
+
+
+def _why_lost(error: Exception) -> str:
+    """Return why the connection was lost; pymodbus has an error without a cause for a connection that the peer ends."""
+    return "the controller has closed it" if isinstance(error, ConnectionException) else cause_of(error)
 
 
 class _Request(ModbusPDU):

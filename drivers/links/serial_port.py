@@ -18,6 +18,7 @@ import serial
 
 from drivers.clock import wall_seconds
 from drivers.errors import LinkLost, LinkTimeout
+from drivers.foreign_errors import cause_of
 
 LONGEST_LINE = 4096
 """Largest length of a line in bytes; a peer that sends more without an end of line is not a line-oriented device."""
@@ -112,7 +113,7 @@ class SerialPort:
                     fcntl.flock(self._port.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
         except (OSError, ValueError, termios.error) as error:
             raise LinkLost(
-                f"the serial port cannot be opened: {error}",
+                f"the serial port cannot be opened: {cause_of(error)}",
                 hint="check its name, that this user may open it (group dialout) and that no other program uses it",
                 **self.where,
             ) from error
@@ -219,5 +220,7 @@ class SerialPort:
             with contextlib.suppress(OSError, termios.error):
                 port.close()
         return LinkLost(
-            f"the serial port is gone: {error}", hint="check the cable and that the controller is on", **self.where
+            f"the serial port is gone: {cause_of(error)}",
+            hint="check the cable and that the controller is on",
+            **self.where,
         )

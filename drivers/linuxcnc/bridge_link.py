@@ -17,6 +17,7 @@ from typing import IO, Any, NamedTuple
 
 from drivers.clock import wall_seconds
 from drivers.errors import CommandRejected, DeviceError, LinkLost, LinkTimeout, ProtocolError
+from drivers.foreign_errors import cause_of
 from drivers.linuxcnc.pins import PinValue
 
 BRIDGE = Path(__file__).resolve().parent / "bridge"
@@ -194,9 +195,7 @@ class BridgeLink:
             )
         except OSError as error:
             stderr.close()
-            raise LinkLost(
-                f"the bridge cannot be started: {error.strerror or error}", hint=START_HINT, **self.where
-            ) from error
+            raise LinkLost(f"the bridge cannot be started: {cause_of(error)}", hint=START_HINT, **self.where) from error
         return _Bridge(process, stderr)
 
     def _send(self, request: Answer) -> None:

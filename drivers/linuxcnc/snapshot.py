@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from drivers.errors import ProtocolError
+from drivers.foreign_errors import cause_of
 from drivers.linuxcnc.pins import PinValue
 from drivers.roles import MotionState
 
@@ -97,7 +98,7 @@ def parse_snapshot(status: dict[str, Any], mm_per_unit: float, where: dict[str, 
             **{name: status[name] for name in _COPIED_FIELDS},
         )
     except (KeyError, TypeError, ValueError) as error:
-        raise ProtocolError(f"the bridge's status cannot be read: {error!r}", **where) from error
+        raise ProtocolError(f"the bridge's status cannot be read: {cause_of(error)}", **where) from error
 
 
 _COPIED_FIELDS = (

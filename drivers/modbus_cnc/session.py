@@ -177,7 +177,7 @@ class ModbusSession:
             block = self.layouts.command.pack((self._next_heartbeat(), *command, sequence))
         except ValueError as error:
             raise ConfigurationError(
-                f"{CommandCode(command.code).label}: a value does not fit the controller's registers: {error}",
+                f"{CommandCode(command.code).label}: a value does not fit the controller's registers",
                 hint="set number to float64, or use a larger number_scale",
                 **self.where,
             ) from error

@@ -224,7 +224,7 @@ class ModbusStore:
         try:
             return self._session.layouts.descriptor.pack(descriptor)
         except ValueError as error:
-            raise self._error(f"the table does not fit the controller's registers: {error}") from error
+            raise self._error("the table does not fit the controller's registers") from error
 
     def _require_known(self, bank: int) -> None:
         if bank not in self._limits.banks:

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from drivers.errors import StoreError
+from drivers.foreign_errors import cause_of
 from drivers.roles import TableImage
 from drivers.tables.files import read_if_exists, write_atomically
 from drivers.tables.text import format_table, parse_table
@@ -65,7 +66,7 @@ class BankFiles:
             self.directory.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise StoreError(
-                f"the directory of the banks cannot be created: {error.strerror or error}",
+                f"the directory of the banks cannot be created: {cause_of(error)}",
                 hint="check banks.directory and its permissions",
                 file=str(self.directory),
                 **self._where,

@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 from drivers.errors import StoreError
+from drivers.foreign_errors import cause_of
 
 
 def write_atomically(path: Path, text: str) -> None:
@@ -23,7 +24,7 @@ def write_atomically(path: Path, text: str) -> None:
         sync_directory(path.parent)
     except OSError as error:
         raise StoreError(
-            f"cannot write {path}: {error.strerror}", hint="check the disk and the permissions of the directory"
+            f"cannot write {path}: {cause_of(error)}", hint="check the disk and the permissions of the directory"
         ) from error
 
 
@@ -38,7 +39,7 @@ def read_if_exists(path: Path) -> str | None:
         return None
     except OSError as error:
         raise StoreError(
-            f"cannot read {path}: {error.strerror}", hint="check the permissions of the directory"
+            f"cannot read {path}: {cause_of(error)}", hint="check the permissions of the directory"
         ) from error
 
 

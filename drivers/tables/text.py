@@ -80,7 +80,7 @@ def parse_table(text: str, **where: str | int) -> TableImage:
     try:
         return _image(head, body[head.end() :])
     except ValueError as error:
-        raise StoreError(f"table file is inconsistent: {error}", hint=RESTAGE_HINT, **where) from error
+        raise StoreError("table file is inconsistent", hint=RESTAGE_HINT, **where) from error
 
 
 RESTAGE_HINT = "stage the table again"

@@ -25,7 +25,7 @@ def test_a_lost_link_is_an_alarm_with_what_to_do_and_a_dead_service_is_unmistaka
             alarm = page.locator(".card.alarm")
             expect(alarm).to_contain_text(re.compile(r"Alarm 31\d: "))
             expect(alarm.locator(".hint")).to_contain_text("Abhilfe: ")
-            expect(alarm.locator(".where")).to_contain_text(re.compile(r"Schritt: (measure|probe)/"))
+            expect(alarm.locator(".where")).to_contain_text(re.compile(r"Schritt: Station \d, Azimut"))
             expect(page.locator("#stale")).to_be_hidden()
             running.process.send_signal(signal.SIGSTOP)  # hung, not gone
             expect(page.locator("#stale")).to_be_visible(timeout=600_000)

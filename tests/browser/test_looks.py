@@ -11,6 +11,8 @@ import pytest
 from panel_pages import PANEL
 from playwright.sync_api import Page, Response, Route, expect
 
+from agent.language.sentences import catalogue, german
+
 SECTIONS = ("map", "curves", "trend", "parameters", "design", "tables", "events", "temperatures", "reports")
 MEASURES = (Path(__file__).parent / "measures.js").read_text()
 INTERACTIVE = {
@@ -117,6 +119,20 @@ def test_the_other_language_at_one_press_with_its_numbers(page: Page) -> None:
     expect(page.locator("#abort")).to_contain_text("ABBRUCH")
     page.reload()
     expect(page.locator("#abort")).to_contain_text("ABBRUCH")
+
+
+def test_the_page_tells_each_sentence_as_the_catalogue_does(page: Page) -> None:
+    page.click("#language")
+    values = re.compile(r"\{\w+\}")
+    texts = [values.sub("⟦1.5⟧", english) for english in catalogue()]
+    texts += [
+        "connection lost: no answer (device cnc). check the adapter",
+        "from 2026-11-29T03:15:07Z on, 1.5 mm or 0.1.0",
+    ]
+    told = page.evaluate(
+        "async texts => { const { told } = await import('/assets/sentences.js'); return texts.map(told); }", texts
+    )
+    assert [pair for pair in zip(texts, told, strict=True) if german(pair[0]) != pair[1]] == []
 
 
 def test_two_fingers_and_the_wheel_zoom_the_view(page: Page) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from accessibility import violations
 from panel_pages import PANEL
 from playwright.sync_api import Browser, Page, ViewportSize, expect
 
@@ -80,6 +81,7 @@ def fits(page: Page, step: str) -> None:
     for theme in ("dark", "light"):
         page.evaluate("theme => (document.documentElement.dataset.theme = theme)", theme)
         assert page.evaluate("unreadable()") == [], (step, theme)
+        assert violations(page) == [], (step, theme)
 
 
 def go_on(page: Page, step: str) -> None:

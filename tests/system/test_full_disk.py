@@ -29,4 +29,4 @@ def test_a_full_disk_is_a_faulted_run_with_its_first_cause(tmp_path: Path, size:
     assert json.loads(ended.stdout)["state"] == "faulted"
     assert "Traceback" not in ended.stderr
     (complaint,) = [line for line in ended.stderr.splitlines() if line.startswith("error:")]
-    assert complaint.startswith("error: the journal cannot be written: database or disk is full (step ")
+    assert complaint.startswith("error: the journal cannot be written: no space left on the disk (step ")

@@ -114,8 +114,8 @@ class TestGoodInput:
         gates = json.loads(done.stdout)["gates"]
         assert not gates["redundancy"]
         assert not gates["correction"]
-        assert "gate redundancy: " in done.stderr
-        assert "gate correction: " in done.stderr
+        assert "redundant measurements: " in done.stderr
+        assert "largest correction: " in done.stderr
         assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [*ARTEFACT, "estimate.json", "report.html"]
 
     def test_a_wrong_ball_is_found_and_named(self, tmp_path: Path) -> None:

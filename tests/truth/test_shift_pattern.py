@@ -130,7 +130,7 @@ def test_the_command_refuses_the_table_and_names_the_axis(tmp_path: Path) -> Non
     said = json.loads(done.stdout)
     assert said["gates"]["pattern"] is False
     assert said["gates"]["step in run"] is True
-    assert "gate pattern: " in said["reason"]
+    assert "pattern of shifts, probability: " in said["reason"]
     assert said["shift_pattern"]["suspects"][0]["text"].startswith("Z shifted in each position by ")
     stored = parse_estimate((folder.out / "estimate.json").read_text(), "estimate.json").document.shift_pattern
     assert stored is not None

@@ -32,6 +32,7 @@ SMALL = {
     "it logs, and the rest of its room does not": ("agent.history.feed",),
     "it imports matplotlib, which the library loads only for a figure": ("volcal.notebook_figure",),
     "one step of the run, beside its siblings": ("agent.runs.resume.abandon",),
+    "one step of the report, after all that draws": ("agent.reports.page.german",),
 }
 """Modules of under 40 lines with at most one importer, by the reason to stand alone."""
 

@@ -54,7 +54,7 @@ def temperature_note(artefact: ArtefactFacts, temperature_c: Array) -> str:
 def gates(data: ReportData) -> list[dict[str, Any]]:
     return [
         {
-            "name": gate.name,
+            "name": GATE_RULES[gate.name].title,
             "text": gate.text,
             "value": number(gate.value, 3),
             "limit": "none" if np.isinf(gate.limit) else f"{GATE_RULES[gate.name].sign} {number(gate.limit, 3)}",
@@ -91,4 +91,4 @@ def events(data: ReportData, t: Texts) -> Table | None:
 
 def signatures(t: Texts) -> Table:
     rows = tuple((t[name], "", "", "") for name in ("performed_by", "checked_by", "released_by"))
-    return Table(("", t["name"], t["place_date"], t["signature"]), rows)
+    return Table((t["role"], t["name"], t["place_date"], t["signature"]), rows)

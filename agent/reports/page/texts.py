@@ -138,6 +138,7 @@ ENGLISH: Texts = {
     "minute": "minute",
     "asked": "question",
     "answer": "answer",
+    "role": "role",
     "performed_by": "performed by",
     "checked_by": "checked by",
     "released_by": "released by",

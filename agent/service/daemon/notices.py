@@ -18,10 +18,11 @@ from typing import Any
 import structlog
 
 from agent.execution.states import RunState
+from agent.language.sentences import Language, in_language
 from agent.notifications.dispatcher import Dispatcher
 from agent.notifications.notice import Notice, NoticeAlarm, NoticeRun, Occasion, Severity
 from agent.notifications.outbox import is_older
-from agent.notifications.wording import Language, facts, kind_word, word
+from agent.notifications.wording import facts, kind_word, word
 from agent.printable import one_line, printable
 from agent.results.run_verdict import FAULTED, UNFINISHED, VERDICTS, Look, RunVerdict
 from agent.service.allowed_requests import AT_REST
@@ -192,7 +193,8 @@ class NoticeMaker:
         meaning = self._messages.get(f"alarm.{alarm.code}", {}).get(self._language, alarm.text)
         remedy = self._messages.get(f"alarm.{alarm.code}.do", {}).get(self._language, alarm.hint)
         where = {name: printable(place) for name, place in alarm.where.items()}  # names of files may be no UTF-8
-        return NoticeAlarm(alarm.code, meaning, remedy, printable(alarm.text), printable(alarm.hint), where)
+        text, hint = (printable(in_language(words, self._language)) for words in (alarm.text, alarm.hint))
+        return NoticeAlarm(alarm.code, meaning, remedy, text, hint, where)
 
 
 _FIGURES = (

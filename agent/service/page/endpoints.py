@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from fastapi import APIRouter, Query
 from fastapi.responses import Response
 
+from agent.language.sentences import Language
 from agent.planning.job_preparation import prepare_job
 from agent.reports.render_in_subprocess import render_in_subprocess
 from agent.runs.kinds.calibrate import calibration_of
@@ -66,9 +67,12 @@ def page_router() -> APIRouter:
         return results.maps(app_state.archive.directory, run_id)
 
     @router.get("/runs/{run_id}/report.{form}")
-    def report(app_state: AppStateDependency, run_id: str, form: Literal["html", "pdf"]) -> Response:
+    def report(
+        app_state: AppStateDependency, run_id: str, form: Literal["html", "pdf"], language: Language = "en"
+    ) -> Response:
         """Return the same report as `volcal report` writes, rendered from the journal alone."""
-        content = render_in_subprocess(app_state.archive.directory, run_id, pdf=form == "pdf")[f"report.{form}"]
+        directory = app_state.archive.directory
+        content = render_in_subprocess(directory, run_id, pdf=form == "pdf", language=language)[f"report.{form}"]
         headers = {"Content-Disposition": f'attachment; filename="volcal-{run_id}.{form}"'}
         return Response(content, media_type=REPORT_TYPES[form], headers=headers)
 

@@ -12,6 +12,8 @@ from fastapi import FastAPI, Request, Response
 from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
 
+from agent.language.records import record_words
+from agent.language.sentences import catalogue
 from agent.results.run_verdict import verdict_words
 from agent.service.http.app_state import AppState
 from agent.service.page.endpoints import page_router
@@ -59,6 +61,14 @@ def mount_document(app: FastAPI, name: str) -> None:
     @app.get("/assets/verdicts.json", include_in_schema=False)
     def verdicts() -> dict[str, dict[str, str]]:
         return verdict_words()
+
+    @app.get("/assets/records.json", include_in_schema=False)
+    def records() -> dict[str, dict[str, str]]:
+        return record_words()
+
+    @app.get("/assets/german.json", include_in_schema=False)
+    def german() -> dict[str, str]:
+        return catalogue()
 
     app.mount("/assets", StaticFiles(directory=own))
     app.middleware("http")(_with_policy)

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import ChecksumMismatch, CommandRejected, StoreError
+from drivers.foreign_errors import cause_of
 from drivers.linuxcnc.compensation.banks import Banks
 from drivers.linuxcnc.pins import Pins
 from drivers.roles import DiagnosticFinding, StoreLimits, TableImage
@@ -87,7 +88,7 @@ class CompFileStore:
         try:
             folder.mkdir(exist_ok=True)
         except OSError as error:
-            raise self._banks.error(f"cannot create {folder}: {error.strerror}") from error
+            raise self._banks.error(f"cannot create {folder}: {cause_of(error)}") from error
         self._banks.write(bank, table)
         for name, text in _bank_texts(bank, table).items():
             write_atomically(folder / name, text)
@@ -112,7 +113,7 @@ class CompFileStore:
             armed.replace(self._link)
             sync_directory(self._banks.directory)
         except OSError as error:
-            raise self._banks.error(f"cannot replace the link {self._link}: {error.strerror}") from error
+            raise self._banks.error(f"cannot replace the link {self._link}: {cause_of(error)}") from error
 
     def diagnose(self) -> list[DiagnosticFinding]:
         """Report the active bank, the pending bank, and the part of the active table that LinuxCNC does not apply.

@@ -106,7 +106,9 @@ def test_a_run_that_will_be_refused_is_named_by_its_keys(small: Path) -> None:
     assert checked.stdout.count("refuse") == len(limits) + 1
     (line,) = checked.stderr.splitlines()
     assert line.startswith(
-        "error: a run with these settings is expected to be refused: gate probe: 2.2, required ≤ 2; gate fit: "
+        "error: a run with these settings is expected to be refused: "
+        "repeatability of the probe: 2.2 µm, required ≤ 2 µm; "
+        "fit of the model: "
     )
     for key in (*limits, "verification.positions"):
         assert key in line

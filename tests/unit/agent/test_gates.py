@@ -76,9 +76,9 @@ def test_refusal_names_every_gate_that_did_not_pass() -> None:
     gates = [Gate("fit", False, 3.0, 2.0, "x"), Gate("gain", True, 0.5, 0.25, "y"), Gate("slope", False, 1.0, 0.5, "z")]
     with pytest.raises(GateRefused) as caught:
         require_passed(gates)
-    assert "gate fit: 3, required ≤ 2 (gates.max_chi2; " in str(caught.value)
-    assert "gate slope" in str(caught.value)
-    assert "gate gain" not in str(caught.value)
+    assert "fit of the model: 3, required ≤ 2 (gates.max_chi2; " in str(caught.value)
+    assert "steepest correction: 1 µm/mm, required ≤ 0.5 µm/mm" in str(caught.value)
+    assert "gain of the new table" not in str(caught.value)
     require_passed([gates[1]])
 
 

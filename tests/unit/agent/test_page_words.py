@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from agent.execution.states import RunState
+from agent.language.records import record_words
 from agent.planning.new_machine.field import SetupField
 from agent.planning.new_machine.fields import FIELDS, SETUP_FIELDS, catalogue
 from agent.results.gates import GATE_RULES
@@ -26,8 +27,8 @@ CATALOGUES = [
     json.loads((ASSETS / name).read_text(encoding="utf-8")) for name in ("messages.json", "setup-messages.json")
 ]
 FIELD_WORDS = catalogue()
-VERDICT_WORDS = verdict_words()
-MESSAGES: dict[str, dict[str, str]] = {**CATALOGUES[0], **CATALOGUES[1], **FIELD_WORDS, **VERDICT_WORDS}
+SERVED_WORDS = {**verdict_words(), **record_words()}
+MESSAGES: dict[str, dict[str, str]] = {**CATALOGUES[0], **CATALOGUES[1], **FIELD_WORDS, **SERVED_WORDS}
 LANGUAGES = {"en", "de"}
 
 KEY = re.compile(r'"([a-z]+\.[\w.]+)"')
@@ -35,7 +36,9 @@ BUILT = re.compile(r"`([a-z]+\.(?:[a-z]+_)?)\$\{")
 NAMED = re.compile(r'data-(?:text|label)="([^"]+)"')
 PLACE = re.compile(r"\{(\w+)\}")
 WORDS = re.compile(r'"[^"\n]*[A-Za-z]{3,} [a-z]{2,} [a-z]{2,}[^"\n]*"')
-NO_KEYS = {"verdicts.json", "volcal.language", "volcal.theme", "volcal.token", "volcal.paired"}
+NO_KEYS = {"records.json", "german.json", "verdicts.json"} | {
+    f"volcal.{name}" for name in ("language", "theme", "token", "paired")
+}
 
 
 def used() -> set[str]:
@@ -70,7 +73,7 @@ def test_each_message_that_is_used_exists_and_each_that_exists_is_used() -> None
 
 
 def test_no_message_stands_in_two_catalogues() -> None:
-    assert len(MESSAGES) == len(CATALOGUES[0]) + len(CATALOGUES[1]) + len(FIELD_WORDS) + len(VERDICT_WORDS)
+    assert len(MESSAGES) == len(CATALOGUES[0]) + len(CATALOGUES[1]) + len(FIELD_WORDS) + len(SERVED_WORDS)
 
 
 @pytest.mark.parametrize("field", SETUP_FIELDS, ids=lambda field: field.name)

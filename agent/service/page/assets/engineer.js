@@ -13,6 +13,7 @@ import * as reports from "./section-reports.js";
 import * as tables from "./section-tables.js";
 import * as temperatures from "./section-temperatures.js";
 import * as trend from "./section-trend.js";
+import { told } from "./sentences.js";
 import { on, seen } from "./store.js";
 
 const SECTIONS = { map: maps, curves, trend, parameters, design, tables, events, temperatures, reports };
@@ -25,7 +26,7 @@ export function openEngineer() {
   const list = make("nav", { className: "sections", id: "sections" });
   const chooser = make("select", { id: "run", onchange: () => choose(now.section, chooser.value) });
   const label = make("label", { className: "of-run" }, make("span", {}), chooser);
-  const content = make("div", { className: "content", id: "content", tabIndex: -1 });
+  const content = make("section", { className: "content", id: "content", tabIndex: 0 });
   view.replaceChildren(list, make("div", { className: "sheet" }, label, content));
   onLanguage(() => now.shown && show());
   onAccess(() => now.shown && show({ quiet: true }));
@@ -92,6 +93,7 @@ async function show({ quiet = false } = {}) {
   }, say(`section.${name}`))));
   showRuns(section, candidates(section)[0] ?? null);
   if (!quiet) content.replaceChildren(make("p", { className: "remark busy" }, say("section.loading")));
+  content.setAttribute("aria-label", say(`section.${now.section}`));
   content.setAttribute("aria-busy", "true");
   try {
     const { run, parts } = await partsOf(section);
@@ -114,6 +116,6 @@ function showRuns(section, shown) {
 }
 
 function complaint({ detail, hint }) {
-  return make("section", { className: "card" }, make("h3", {}, say("section.nothing")), make("p", {}, detail),
-    hint ? make("p", { className: "remark" }, hint) : null);
+  return make("section", { className: "card" }, make("h2", {}, say("section.nothing")), make("p", {}, told(detail)),
+    hint ? make("p", { className: "remark" }, told(hint)) : null);
 }

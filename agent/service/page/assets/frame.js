@@ -1,6 +1,6 @@
 /* Frame around the views: name and state of the machine, choice of view and language, loss of connection. */
 import { byId } from "./dom.js";
-import { languageNow, languages, number, onLanguage, say, speak, translate } from "./language.js";
+import { languageNow, languages, nameLanguage, number, onLanguage, say, speak, translate } from "./language.js";
 import { on, seen } from "./store.js";
 import { lookOf, stateWord, verdictWord } from "./wording.js";
 
@@ -18,8 +18,7 @@ export function openFrame(opened) {
   byId("language").addEventListener("click", () => speak(other()));
   const words = () => {
     translate();
-    byId("language").textContent = other().toUpperCase();
-    byId("language").setAttribute("aria-label", say("language.change"));
+    nameLanguage(other());
     if (seen.status) showState(seen.status);
   };
   words();

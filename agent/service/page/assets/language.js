@@ -43,10 +43,19 @@ export function number(value, digits = 1) {
 
 export function instant(utc) {
   if (!utc) return "–";
-  return new Intl.DateTimeFormat(language, { dateStyle: "short", timeStyle: "medium" }).format(new Date(utc));
+  const at = new Date(utc), two = (value) => String(value).padStart(2, "0");
+  return say("date.instant", { year: at.getFullYear(), month: two(at.getMonth() + 1), day: two(at.getDate()), time: timeOfDay(utc) });
 }
 
-export const timeOfDay = (utc) => new Intl.DateTimeFormat(language, { timeStyle: "medium" }).format(new Date(utc));
+export const timeOfDay = (utc) => new Intl.DateTimeFormat(language, { timeStyle: "medium", hourCycle: "h23" }).format(new Date(utc));
+
+/* Names the button that leads to the other language, in that language. */
+export function nameLanguage(other) {
+  const button = document.getElementById("language");
+  button.textContent = other.toUpperCase();
+  button.lang = other;
+  button.setAttribute("aria-label", say("language.change"));
+}
 
 /* Translates the elements that name their message in `data-text` (content) or `data-label` (accessible name). */
 export function translate(root = document) {

@@ -2,6 +2,7 @@
 import { byId, make } from "./dom.js";
 import { known, say } from "./language.js";
 import { Refused } from "./requests.js";
+import { told } from "./sentences.js";
 
 const SHOWN_MS = 5000;
 let timer = null;
@@ -23,7 +24,7 @@ export function showProblem(error, nodes = (text) => [text]) {
   const { status, title, detail, hint } = error.problem;
   if (known(`problem.${title}`)) return show("problem", say(`problem.${title}`), "", nodes);
   const own = `problem.${status}`;
-  return show("problem", known(own) ? say(own) : detail, known(own) && status === 409 ? [detail, hint].filter(Boolean).join(" – ") : hint ?? "", nodes);
+  return show("problem", known(own) ? say(own) : told(detail), known(own) && status === 409 ? [detail, hint].filter(Boolean).map(told).join(" – ") : told(hint), nodes);
 }
 
 export const hide = () => byId("said").replaceChildren();

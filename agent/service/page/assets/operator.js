@@ -9,7 +9,8 @@ import { openResiduals } from "./residuals.js";
 import { openResult } from "./result-card.js";
 import { openScene } from "./scene.js";
 import { on, seen } from "./store.js";
-import { AT_REST, doing, eventText, phaseText, runText } from "./wording.js";
+import { told } from "./sentences.js";
+import { AT_REST, doing, eventText, phaseText, runText, stepWords } from "./wording.js";
 
 const RECENT = 4, MINUTE_S = 60;
 
@@ -34,8 +35,9 @@ export function openOperator() {
   const progress = make("div", { className: "progress" }, whole.track, make("div", { className: "figures" }, percent, left), own.track, phase);
   const result = make("div", { id: "result-place" }), links = make("ul", { className: "links", id: "links" });
   const above = make("div", { className: "now" }, kind, words, progress);
-  view.replaceChildren(stage, make("div", { className: "side" }, above, cards, facts, links, result, residuals, recent));
-  const show = () => seen.status && render(seen.status, { kind, words, progress, whole, own, percent, left, phase, cards, facts, links });
+  const side = make("section", { className: "side", tabIndex: 0 }, above, cards, facts, links, result, residuals, recent);
+  view.replaceChildren(stage, side);
+  const show = () => seen.status && render(seen.status, { side, kind, words, progress, whole, own, percent, left, phase, cards, facts, links });
   const showRecent = () => recent.replaceChildren(...seen.events.slice(0, RECENT).map(eventLine));
   on("status", () => {
     const run = seen.status?.unfinished ?? null;
@@ -53,6 +55,7 @@ export function openOperator() {
 function render(status, parts) {
   const now = doing(status);
   if (parts.words.textContent !== now) parts.words.textContent = now;
+  parts.side.ariaLabel = say("operator.side");
   parts.kind.textContent = runText(status);
   parts.progress.hidden = AT_REST.has(status.state);
   const { fraction, minutes_left: left, phase_fraction: ofPhase } = status;
@@ -76,6 +79,13 @@ function render(status, parts) {
   if (parts.cards.dataset.shown === shown) return;
   parts.cards.dataset.shown = shown;
   parts.cards.replaceChildren(...cards);
+  announce(status.alarms);
+}
+
+/* Alarms are read aloud in every view; the cards, whose buttons come and go, are not announced as a whole. */
+function announce(alarms) {
+  const text = alarms.map((alarm) => `${alarmTitle(alarm)}. ${told(alarm.text)}.`).join(" ");
+  if (byId("alarms").textContent !== text) byId("alarms").textContent = text;
 }
 
 function progressBar(className) {
@@ -98,8 +108,8 @@ const eventLine = (event) => make("li", {}, make("time", { dateTime: event.at },
 function questionCard({ number: asked, text, station, placement }) {
   const answer = (yes) => request("/api/answer", { number: asked, yes }, yes ? "done.yes" : "done.no");
   return make("section", { className: "card question" },
-    make("h3", {}, questionTitle(station, placement)),
-    ...(placement ? placementLines(placement) : [make("p", {}, text)]),
+    make("h2", {}, questionTitle(station, placement)),
+    ...(placement ? placementLines(placement) : [make("p", {}, told(text))]),
     make("div", { className: "actions" },
       make("button", { id: "answer-yes", className: "go", onclick: () => answer(true) }, say("question.yes")),
       make("button", { id: "answer-no", onclick: () => answer(false) }, say("question.no"))));
@@ -144,7 +154,7 @@ function unfinishedCard({ unfinished: run, may }) {
     if (await askConfirmation(name, say("unfinished.give_up.is"), name)) await request("/api/give-up-run", {}, "done.give_up_run");
   };
   return make("section", { className: "card waiting", id: "unfinished" },
-    make("h3", {}, say("unfinished.title")), make("p", {}, say("unfinished.text", { run })),
+    make("h2", {}, say("unfinished.title")), make("p", {}, say("unfinished.text", { run })),
     kept.balls === null ? null : make("p", {}, say("unfinished.balls", { balls: number(kept.balls, 0) })),
     make("p", { className: "hint" }, say(allowed ? "unfinished.do" : "unfinished.reset")),
     allowed ? make("button", { id: "give-up-run", onclick: giveUp }, say("unfinished.give_up")) : null);
@@ -160,9 +170,9 @@ function unprovedCard({ unproved, may, alarms }) {
     make("button", { id, disabled: !allowed, onclick: act }, say(label, facts)));
   const post = (path, done) => () => request(`/api/${path}`, path === "resume-run" ? { source: "page" } : {}, done);
   return make("section", { className: "card alarm", id: "unproved" },
-    make("h3", {}, say("unproved.title")),
+    make("h2", {}, say("unproved.title")),
     make("p", {}, say("unproved.situation", facts)),
-    reason ? make("p", { className: "where" }, say("unproved.reason", { reason })) : null,
+    reason ? make("p", { className: "where" }, say("unproved.reason", { reason: told(reason) })) : null,
     can("restore_former") ? null : make("p", { className: "hint" }, say("unproved.reset_first")),
     make("ol", { className: "ways-out" },
       step(former ? "unproved.restore" : "unproved.restore_none", "restore-former", "unproved.restore.button",
@@ -178,15 +188,20 @@ function unprovedCard({ unproved, may, alarms }) {
 const alarmsBeside = ({ alarms, unproved }) =>
   alarms.filter(({ text }) => !(unproved && text.startsWith(unproved.situation)));
 
+function alarmTitle({ code }) {
+  const title = `alarm.${code}`;
+  return `${say("alarm.word")} ${code}${known(title) ? `: ${say(title)}` : ""}`;
+}
+
 function alarmCard({ code, text, hint, where }) {
-  const title = `alarm.${code}`, own = `alarm.${code}.do`;
-  const todo = known(own) ? say(own) : hint;
-  const at = Object.entries(where).map(([name, value]) => `${known(`where.${name}`) ? say(`where.${name}`) : name}: ${value}`);
+  const own = `alarm.${code}.do`;
+  const todo = known(own) ? say(own) : told(hint);
+  const at = Object.entries(where).map(([name, value]) => `${known(`where.${name}`) ? say(`where.${name}`) : name}: ${(name === "step" && stepWords(value)) || value}`);
   return make("section", { className: "card alarm" },
-    make("h3", {}, `${say("alarm.word")} ${code}${known(title) ? `: ${say(title)}` : ""}`),
-    make("p", {}, text),
+    make("h2", {}, alarmTitle({ code })),
+    make("p", {}, told(text)),
     make("p", { className: "hint" }, `${say("alarm.do")} ${todo}`),
-    hint && !sameWords(hint, inEnglish(own)) ? make("p", {}, hint) : null,
+    hint && !sameWords(hint, inEnglish(own)) ? make("p", {}, told(hint)) : null,
     at.length ? make("p", { className: "where" }, at.join(" · ")) : null);
 }
 
@@ -197,15 +212,15 @@ const sameWords = (one, other) => lettersOf(one) === lettersOf(other);
 /* What the controller was last seen to apply, with the age of that reading; never a guess. */
 function bankText({ active_bank: bank, written_not_active: waiting, read_age_s: age, read_problem: problem }) {
   const known = bank === null ? say("bank.unknown") : bank === 0 ? say("bank.none") : say("bank.number", { bank });
-  const told = waiting === null ? known : say("bank.waiting", { bank: waiting });
-  return make("span", {}, told, age === null ? null : make("small", { className: "age", title: problem }, ageText(age)));
+  const words = waiting === null ? known : say("bank.waiting", { bank: waiting });
+  return make("span", {}, words, age === null ? null : make("small", { className: "age", title: told(problem) }, ageText(age)));
 }
 
 const ageText = (age) => (age < MINUTE_S ? say("age.seconds", { seconds: number(Math.floor(age), 0) }) : say("age.minutes", { minutes: number(Math.floor(age / MINUTE_S), 0) }));
 
 function linkMark({ device, ok, problem, unread }) {
-  const told = say(unread ? "link.unread" : ok ? "link.ok" : "link.lost");
-  const mark = make("li", { title: unread || problem || told }, make("span", { className: "shape", ariaHidden: "true" }), `${device}: ${told}`);
+  const words = say(unread ? "link.unread" : ok ? "link.ok" : "link.lost");
+  const mark = make("li", { title: told(unread || problem) || words }, make("span", { className: "shape", ariaHidden: "true" }), `${device}: ${words}`);
   mark.dataset.look = unread ? "quiet" : ok ? "done" : "fault";
   return mark;
 }

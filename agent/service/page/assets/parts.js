@@ -4,7 +4,7 @@ import { instant, known, number, say } from "./language.js";
 import { verdictWord } from "./wording.js";
 
 export function table(heads, rows, kind = "") {
-  return make("div", { className: "scroll" }, make("table", { className: `data ${kind}` },
+  return make("div", { className: "scroll", role: "group", tabIndex: 0, ariaLabel: say("table.rows") }, make("table", { className: `data ${kind}` },
     make("thead", {}, make("tr", {}, ...heads.map((head) => make("th", { scope: "col" }, head)))),
     make("tbody", {}, ...rows.map((cells) => make("tr", {}, ...cells.map((cell) => make("td", {}, cell)))))));
 }

@@ -1,10 +1,10 @@
 /* Card of the last run while no run is in progress: its verdict, its figures and its report. */
 import { make } from "./dom.js";
-import { instant, number, onLanguage, say } from "./language.js";
+import { instant, languageNow, number, onLanguage, say } from "./language.js";
 import { beforeAfter, facts, micrometres, wordOr } from "./parts.js";
 import { read, Refused } from "./requests.js";
 import { on, seen } from "./store.js";
-import { AT_REST, verdictMark } from "./wording.js";
+import { AT_REST, reasonText, verdictMark } from "./wording.js";
 
 const LAST = "/api/runs?limit=1";
 const now = { key: null, run: null, unanswered: false };
@@ -47,12 +47,12 @@ function render(place) {
 function card(run, stored) {
   const { run_id, kind, started, verdict, reason } = run;
   const made = make("section", { className: "card result", id: "result" },
-    make("h3", {}, verdictMark(verdict)),
+    make("h2", {}, verdictMark(verdict)),
     make("p", { className: "remark" }, [`${say("result.last")} ${wordOr("kind", kind)}`, started ? instant(started) : null].filter(Boolean).join(", ")),
     seen.status.verdict ? null : make("p", {}, say(`verdict.${verdict.name}.is`)),
-    reason ? make("p", { className: "where" }, reason) : null,
+    reason ? make("p", { className: "where" }, reasonText(reason)) : null,
     stored ? figures(run) : null,
-    stored && run.ended ? make("a", { className: "button", id: "result-report", href: `/api/page/runs/${encodeURIComponent(run_id)}/report.html`, download: "" }, say("result.report")) : null);
+    stored && run.ended ? make("a", { className: "button", id: "result-report", href: `/api/page/runs/${encodeURIComponent(run_id)}/report.html?language=${languageNow()}`, download: "" }, say("result.report")) : null);
   made.dataset.look = verdict.look;
   return made;
 }

@@ -1,13 +1,15 @@
 /* Section with the events of a run from the journal. Alarms need a reaction and are shown in the operator view. */
 import { make } from "./dom.js";
-import { instant, number, say } from "./language.js";
+import { instant, known, number, say } from "./language.js";
 import { choice, heading, remark, table, wordOr } from "./parts.js";
 import { read } from "./requests.js";
-import { stateWord, stepWords } from "./wording.js";
+import { told } from "./sentences.js";
+import { reasonText, stateWord, stepWords } from "./wording.js";
 
 export const ofRun = true, needsEstimate = false;
 const MOST = 1000;
 const KINDS = ["all", "state", "note", "measured", "asked"];
+const SENTENCES = ["text", "note", "reason", "error", "then"], LENGTHS = ["drift_um", "off_mm"];
 let shown = "all";
 
 export async function parts({ run, again }) {
@@ -28,13 +30,22 @@ export async function parts({ run, again }) {
 const groupOf = ({ kind }) => ({ state: "state", note: "note", event: "measured", asked: "asked", acknowledged: "asked" })[kind] ?? "note";
 
 function textOf({ kind, record }) {
-  if (kind === "state") return [stateWord(record.state), record.reason].filter(Boolean).join(" – ");
+  if (kind === "state") return [stateWord(record.state), record.reason && reasonText(record.reason)].filter(Boolean).join(" – ");
   if (kind === "asked") return [wordOr("kind", record.kind ?? ""), wordOr("source", (record.source ?? "").replaceAll(" ", "_")), record.by].filter(Boolean).join(" – ");
   if (kind === "acknowledged") return [say("events.acknowledged"), record.by].filter(Boolean).join(" – ");
-  const { text, step, ...rest } = record;
-  const where = step ? [stepWords(step), make("code", {}, step)] : [];
-  return make("span", { className: "event-text" }, ...where, text ?? "", make("small", {}, Object.entries(rest).filter(([, value]) => plain(value)).map(([name, value]) => `${name} ${figure(value)}`).join(" · ")));
+  const { step } = record;
+  const where = step ? [make("span", { title: step }, stepWords(step))] : [];
+  const sentences = SENTENCES.filter((name) => record[name]).map((name) => told(record[name]));
+  return make("span", { className: "event-text" }, ...where, sentences.join("; "), make("small", {}, Object.entries(record).map(inWords).filter(Boolean).join(" · ")));
 }
 
-const plain = (value) => ["number", "string"].includes(typeof value) || (Array.isArray(value) && value.every((one) => typeof one === "number"));
-const figure = (value) => (Array.isArray(value) ? value.map(figure).join(" / ") : typeof value === "number" ? number(value, Number.isInteger(value) ? 0 : 2) : value);
+/* An entry without words in the catalogue is for programs alone. */
+function inWords([name, value]) {
+  const key = `record.${name}`;
+  return known(key) && value !== null && value !== "" ? say(key, { value: figure(name, value) }) : null;
+}
+
+function figure(name, value) {
+  if (Array.isArray(value)) return LENGTHS.includes(name) ? figure(name, Math.hypot(...value)) : value.map((one) => figure(name, one)).join(" / ");
+  return typeof value === "number" ? number(value, Number.isInteger(value) ? 0 : 2) : value;
+}

@@ -2,7 +2,7 @@
 import { permits } from "./access.js";
 import { askAccess } from "./access-dialog.js";
 import { make } from "./dom.js";
-import { instant, number, say } from "./language.js";
+import { instant, languageNow, number, say } from "./language.js";
 import { beforeAfter, heading, micrometres, remark, table, wordOr } from "./parts.js";
 import { fetchFile, isTokenRefused, token } from "./requests.js";
 import { showProblem } from "./notices.js";
@@ -17,7 +17,7 @@ export async function parts({ runs }) {
 }
 
 function row({ run_id, kind, started, verdict, reason, balls, ended, ve_um, vce_um, held_out_before_um, held_out_after_um, machine_minutes }) {
-  const link = (form) => make("a", { className: "button", href: `/api/page/runs/${encodeURIComponent(run_id)}/report.${form}`, download: "" }, say(`reports.${form}`));
+  const link = (form) => make("a", { className: "button", href: `/api/page/runs/${encodeURIComponent(run_id)}/report.${form}?language=${languageNow()}`, download: "" }, say(`reports.${form}`));
   return [instant(started), wordOr("kind", kind), make("span", { title: reason ?? "" }, verdictMark(verdict)), micrometres(ve_um), micrometres(vce_um),
     beforeAfter(held_out_before_um, held_out_after_um), number(balls, 0), number(machine_minutes, 1),
     make("span", { className: "acts" }, ...(ended ? [link("html"), link("pdf")] : [say("reports.going_on")]))];

@@ -6,6 +6,7 @@ import { make } from "./dom.js";
 import { instant, number, say } from "./language.js";
 import { facts, heading, mark, remark, table } from "./parts.js";
 import { read, Refused } from "./requests.js";
+import { told } from "./sentences.js";
 import { seen } from "./store.js";
 
 export const ofRun = false;
@@ -67,7 +68,7 @@ async function comparison(rows, again) {
     return make("div", {}, choosers, differing(await read(`/api/page/tables/difference?${query}`)));
   } catch (error) {
     if (!(error instanceof Refused)) throw error;
-    return make("div", {}, choosers, make("p", { className: "remark" }, error.problem.detail));
+    return make("div", {}, choosers, make("p", { className: "remark" }, told(error.problem.detail)));
   }
 }
 

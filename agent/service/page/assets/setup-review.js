@@ -53,7 +53,7 @@ function reviewParts(review, written) {
 const named = (gate) => gate.replaceAll(" ", "_");
 
 function gates(list) {
-  const heads = ["review.gate", "review.expected", "review.limit", "", "review.key"].map((key) => (key ? say(key) : ""));
+  const heads = ["review.gate", "review.expected", "review.limit", "review.result", "review.key"].map((key) => say(key));
   return table(heads, list.map(({ gate, expected, comparison, limit, passes, key }) => [
     known(`gate.${named(gate)}`) ? say(`gate.${named(gate)}`) : gate, expected === null ? "∞" : number(expected, 3), `${comparison} ${number(limit, 3)}`,
     passes ? make("span", { className: "passes" }, `✓ ${say("review.passes")}`)

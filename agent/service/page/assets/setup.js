@@ -1,11 +1,12 @@
 /* Set-up of a new machine: one step after the other; the service keeps what was stated. */
 import { askToken } from "./dialogs.js";
 import { byId, make } from "./dom.js";
-import { languageNow, languages, loadWords, onLanguage, say, speak, translate } from "./language.js";
+import { languageNow, languages, loadWords, nameLanguage, onLanguage, say, speak, translate } from "./language.js";
 import { keepToken } from "./requests.js";
 import { connectPanel, drawingPanel, fingerPanel, jogPanel, rest, wrongAxes } from "./setup-checks.js";
 import { fieldOf, placedByHand } from "./setup-fields.js";
 import { reviewPanel } from "./setup-review.js";
+import { loadSentences } from "./sentences.js";
 import { load, onState, seen, settled } from "./setup-state.js";
 import { inPageWords, prose, sentences } from "./setup-words.js";
 import { openTheme } from "./theme.js";
@@ -89,13 +90,12 @@ async function next() {
 function words() {
   const other = languages().find((language) => language !== languageNow()) ?? languageNow();
   translate();
-  byId("language").textContent = other.toUpperCase();
-  byId("language").setAttribute("aria-label", say("language.change"));
+  nameLanguage(other);
   byId("language").onclick = () => speak(other);
 }
 
 takeToken();
-await loadWords("setup-messages.json");
+await Promise.all([loadWords("setup-messages.json"), loadSentences()]);
 openTheme();
 words();
 await load();

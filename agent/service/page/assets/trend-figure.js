@@ -2,6 +2,7 @@
 import { band, chart, fall, level, line, points, reach } from "./chart.js";
 import { make } from "./dom.js";
 import { number, say } from "./language.js";
+import { told } from "./sentences.js";
 
 const COVERAGE = 2, SHORTEST_NIGHTS = 1;
 
@@ -57,5 +58,5 @@ export function keyOfLines() {
 }
 
 export function alarmList(alarms) {
-  return alarms.length ? [make("ul", { className: "trend-alarms" }, ...alarms.map(({ kind, text }) => make("li", {}, make("b", {}, say(`trend.alarm_${kind}`)), " ", text)))] : [];
+  return alarms.length ? [make("ul", { className: "trend-alarms" }, ...alarms.map(({ kind, text }) => make("li", {}, make("b", {}, say(`trend.alarm_${kind}`)), " ", told(text))))] : [];
 }

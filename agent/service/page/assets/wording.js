@@ -1,6 +1,7 @@
 /* Plain-text status of the machine from its state and the key of the step. */
 import { make } from "./dom.js";
 import { known, number, say } from "./language.js";
+import { told } from "./sentences.js";
 
 const MOVING = new Set(["measuring", "verifying", "held"]);
 const CHECKS = new Set(["probe-check", "qualification", "reversal", "homing"]);
@@ -83,8 +84,13 @@ export function eventText({ kind, text, data }) {
   if (kind === "lost") return say("event.lost", { place: stepWords(text) });
   if (kind === "alarm") return say("event.alarm", { code: data.code });
   if (kind === "outcome") return data.verdict ? verdictWord(data.verdict) : stateWord(data.state);
-  return text;
+  return told(text);
 }
+
+/* Reason for the end of a run; the places of an error are named in words, not by their keys. */
+export const reasonText = (reason) => told(reason)
+  .replaceAll(/\bstep ([a-z-]+\/[^\s,)]*)/g, (_, key) => `${say("where.step")} ${stepWords(key) || key}`)
+  .replaceAll(/\((device) /g, `(${say("where.device")} `);
 
 /* Station, orientation and ball of a step in words; empty if it has none. */
 export function stepWords(step) {

@@ -1,0 +1,110 @@
+"""German of English texts, by the catalogue of sentences."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from functools import cache, lru_cache
+from importlib import resources
+from typing import Final, Literal
+
+from agent.language.records import WORDS
+
+Language = Literal["en", "de"]
+LANGUAGES: Final[tuple[Language, ...]] = ("en", "de")
+
+PLACE: Final = re.compile(r"\{(\w+)\}")
+_WHOLE_ERROR: Final = re.compile(r"(?P<message>.+?) \((?P<places>[a-z_]+ [^()]+)\)(?:\. (?P<hint>.+))?", re.DOTALL)
+"""Form of an error in one line: message, places and hint (`drivers.errors.VolcalError`)."""
+# neither part of a name, an address, a version or a path, nor followed by one of their signs
+_DECIMAL: Final = re.compile(r"(?<![\w./:])([+\-−]?\d+)\.(\d+)(?![\w./:]*[\w/:])")
+_INSTANT: Final = re.compile(r"\b(\d{4})-(\d{2})-(\d{2})(?:[T ](\d{2}:\d{2}(?::\d{2})?)(?:\.\d+)?)?(?![\dT-])")
+_SEPARATORS: Final = ("; ", ". ", ", ")
+_REMEMBERED: Final = 2000
+
+
+class Sentence:
+    """Sentence of the catalogue. The text that fills a place may be empty."""
+
+    def __init__(self, english: str, german: str) -> None:
+        parts = PLACE.split(english)
+        self.names = parts[1::2]
+        self.german = german
+        self.literals = parts[::2]
+        self.letters = sum(map(len, self.literals))
+        self._longest = max(self.literals, key=len)
+        self._pattern: re.Pattern[str] | None = None
+
+    def filled(self, text: str) -> Mapping[str, str] | None:
+        """Return what fills the places if `text` is this sentence; its first letter may be of either case."""
+        if self._longest[1:] not in text:
+            return None
+        if self._pattern is None:
+            self._pattern = re.compile("(.*?)".join(map(_either_case_first, self.literals)), re.DOTALL)
+        found = self._pattern.fullmatch(text)
+        return None if found is None else dict(zip(self.names, found.groups(), strict=True))
+
+
+def _either_case_first(literal: str) -> str:
+    first = literal[:1]
+    return f"[{first.upper()}{first.lower()}]{re.escape(literal[1:])}" if first.isalpha() else re.escape(literal)
+
+
+@cache
+def catalogue() -> dict[str, str]:
+    """Return the German of each English sentence."""
+    folder = resources.files("agent.language").joinpath("german")
+    files = sorted(path.name for path in folder.iterdir() if path.name.endswith(".json"))
+    pairs: dict[str, str] = {}
+    for name in files:
+        pairs.update(json.loads(folder.joinpath(name).read_text(encoding="utf-8")))
+    return pairs | dict(WORDS.values())
+
+
+@cache
+def _sentences() -> tuple[Sentence, ...]:
+    """Return the sentences, those with the most letters of their own first: they say most about a text."""
+    return tuple(sorted((Sentence(*pair) for pair in catalogue().items()), key=lambda one: -one.letters))
+
+
+def in_language(text: str, language: Language) -> str:
+    """Return an English text of the program in the language. What the catalogue does not have stays in English."""
+    return text if language == "en" else german(text)
+
+
+@lru_cache(maxsize=_REMEMBERED)
+def german(text: str) -> str:
+    """Return the German of a text: of the sentence that it is, or of those of which it is composed."""
+    if text in catalogue():
+        return catalogue()[text]
+    for sentence in _sentences():
+        values = sentence.filled(text)
+        if values is not None and text not in values.values():
+            return PLACE.sub(lambda place, values=values: german(values[place[1]]), sentence.german)  # type: ignore[misc]
+    return _composed(text) or with_german_numbers(text)
+
+
+def _composed(text: str) -> str | None:
+    """Return the German of an error in one line, or of a text of several parts of which at least one is known."""
+    error = _WHOLE_ERROR.fullmatch(text)
+    if error is not None and german(error["message"]) != error["message"]:
+        hint = f". {german(error['hint'])}" if error["hint"] else ""
+        return f"{german(error['message'])} ({with_german_numbers(error['places'])}){hint}"
+    for separator in _SEPARATORS:
+        parts = text.split(separator)
+        if len(parts) > 1:
+            told = list(map(german, parts))
+            if any(one != with_german_numbers(part) for one, part in zip(told, parts, strict=True)):
+                return separator.join(told)
+    return None
+
+
+def with_german_numbers(text: str) -> str:
+    """Return the text with decimal commas and German dates; names, versions and addresses stay as they are."""
+    return _DECIMAL.sub(r"\1,\2", _INSTANT.sub(_german_instant, text))
+
+
+def _german_instant(found: re.Match[str]) -> str:
+    year, month, day, time = found.groups()
+    return f"{day}.{month}.{year}" + (f" {time}" if time else "")
