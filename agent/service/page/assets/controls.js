@@ -23,7 +23,10 @@ export function openControls() {
   byId("resume-run").addEventListener("click", () => request("/api/resume-run", { source: "page" }, "done.resume_run"));
   byId("abort").addEventListener("click", abort);
   byId("token").addEventListener("click", () => askAccess());
-  const who = () => (byId("token").textContent = accessText() ?? say("access.enter"));
+  const who = () => {
+    const text = accessText();
+    Object.assign(byId("token"), { textContent: text ?? say("access.enter"), title: text ?? "" });
+  };
   onAccess(who);
   onLanguage(who);
   who();
