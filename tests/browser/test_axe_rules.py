@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 from accessibility import violations
 from panel_pages import at_rest, opened
@@ -41,7 +41,8 @@ def test_every_view_and_report_is_accessible_and_abort_is_the_first_stop(chromiu
                 assert violations(page) == [], (language, theme, opener)
                 page.keyboard.press("Escape")
     reported = chromium.new_page()
-    for language, scheme in (("en", "light"), ("de", "dark")):
+    looks: tuple[tuple[str, Literal["light", "dark"]], ...] = (("en", "light"), ("de", "dark"))
+    for language, scheme in looks:
         assert house.command("report", run, "--language", language).returncode == 0
         reported.goto((house.state / run / "report.html").as_uri())
         reported.emulate_media(color_scheme=scheme)

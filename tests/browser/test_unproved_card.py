@@ -27,7 +27,12 @@ def told(chromium: Browser, house: Service, table: UnprovedTable, locale: str) -
 
     def status(route: Route) -> None:
         response = route.fetch()
-        alarm = {"code": 360, "text": f"{table.situation}: bank locked", "hint": table.way_out, "where": {}}
+        alarm = {
+            "code": 360,
+            "text": f"{table.situation}: bank 2 is active and cannot be written",
+            "hint": table.way_out,
+            "where": {},
+        }
         view = {**vars(table), "situation": table.situation, "way_out": table.way_out}
         may = ["restore_former", "give_up", "reset", *(["resume_run"] if table.provable else [])]
         changed = {"unproved": view, "alarms": [alarm], "may": may, "active_bank": table.bank}
@@ -52,8 +57,8 @@ def told(chromium: Browser, house: Service, table: UnprovedTable, locale: str) -
 
 @pytest.mark.parametrize(
     ("locale", "words"),
-    [("en", ("Not ready: unproved table active", "never proved", "bank locked", "activate bank 1 at the controller")),
-     ("de", ("Nicht bereit: ungeprüfte Tabelle aktiv", "nie durch Messung", "bank locked", "Bank 1 an der Steuerung"))],
+    [("en", ("Not ready: unproved table active", "never proved", "bank 2 is active and cannot be", "activate bank 1 at the controller")),
+     ("de", ("Nicht bereit: ungeprüfte Tabelle aktiv", "nie durch Messung", "Bank 2 ist aktiv und kann nicht", "Bank 1 an der Steuerung"))],
 )  # fmt: skip
 def test_the_card_says_what_is_active_and_its_buttons_lead_out(
     chromium: Browser, house: Service, locale: str, words: tuple[str, ...]
