@@ -20,6 +20,7 @@ from agent.cli.options import PATH, config_option
 if will_run():
     from rich.table import Table
 
+    from agent.cli.comparison_tables import comparison_tables
     from agent.cli.printing import columns_table, results_console
     from agent.errors import MeasurementFault
     from agent.execution.journal_compaction import journal_bytes, release_space
@@ -110,6 +111,29 @@ def trend_command(
         click.echo(f"{alarm.kind.value}: {alarm.text}", err=True)
     if grave:
         raise fail(MeasurementFault("; ".join(grave), hint="calibrate before the tolerance is reached"))
+
+
+@history_group.command("compare")
+@click.argument("one", metavar="RUN")
+@click.argument("other", metavar="RUN")
+@config_option
+@_json
+@reported
+def compare_command(one: str, other: str, config: Path, as_json_object: bool) -> None:
+    """Compare two runs: the second RUN minus the first.
+
+    Figures, geometric errors, error field and the tables written.
+    """
+    # The mathematics of the error field is slow to import, and the list of runs does not need it.
+    from agent.reports.run_comparison import compare_runs  # noqa: PLC0415
+
+    with naming(config):
+        found = compare_runs(read_settings(config).state_directory, one, other)
+    if as_json_object:
+        click.echo(json.dumps(found.as_json(), allow_nan=False))
+        return
+    for table in comparison_tables(found.as_json()):
+        results_console().print(table)
 
 
 @history_group.command("export")

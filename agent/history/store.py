@@ -21,6 +21,7 @@ from sqlalchemy import (
     create_engine,
     delete,
     event,
+    func,
     insert,
     inspect,
     select,
@@ -31,6 +32,16 @@ from sqlalchemy.pool import NullPool
 
 from agent.history.database_url import DatabaseAddress
 from agent.history.run_row import RunRows
+from agent.history.run_selection import (
+    NumberedRun,
+    RunListing,
+    RunSelection,
+    VerdictGroup,
+    conditions,
+    counts,
+    groups_query,
+    numbered_runs_query,
+)
 from agent.history.schema import (
     DECISIONS,
     METADATA,
@@ -149,6 +160,22 @@ class HistoryStore:
             if whole:
                 _add_children(connection, query, found)
         return found
+
+    def listing(self, machine: str, selection: RunSelection, limit: int, offset: int) -> RunListing:
+        """Return at most `limit` of the selected runs of one machine, the latest first, without the first `offset`
+        ones. Their parameters, temperatures and decisions are left empty."""
+        with self._read_errors(), self._engine.connect() as connection:
+            groups = checked_rows(VerdictGroup, connection.execute(groups_query(machine)))
+            numbers = numbered_runs_query(machine).subquery()
+            chosen = (RUNS.c.machine == machine, *conditions(selection, groups))
+            total = connection.execute(select(func.count()).where(*chosen)).scalar_one()
+            query = select(numbers.c.number, RUNS).join(RUNS, RUNS.c.run_id == numbers.c.numbered).where(*chosen)
+            query = query.order_by(numbers.c.number.desc()).limit(limit).offset(offset)
+            rows = connection.execute(query).all()
+            runs = checked_rows(StoredRun, [row[1:] for row in rows])
+        kinds, verdicts = counts(groups)
+        found = [NumberedRun(row.number, run) for row, run in zip(rows, runs, strict=True)]
+        return RunListing(found, total, kinds, verdicts)
 
     def _read(self, query: Select[*tuple[Any, ...]]) -> Sequence[Row[*tuple[Any, ...]]]:
         with self._read_errors(), self._engine.connect() as connection:

@@ -8,7 +8,7 @@ from importlib.metadata import version
 
 from fastapi import FastAPI
 
-from agent.service.http import commands, diagnostics, events, problems, queries
+from agent.service.http import commands, diagnostics, events, history, problems, queries
 from agent.service.http.app_state import AppState
 from agent.service.http.guard import Guard
 
@@ -38,5 +38,12 @@ def create_app(app_state: AppState, names: Collection[str] = (), extensions: Seq
 
 
 def add_endpoints(app: FastAPI) -> None:
-    for router in (queries.router, events.router, commands.without_token, commands.with_token, diagnostics.router):
+    for router in (
+        queries.router,
+        history.router,
+        events.router,
+        commands.without_token,
+        commands.with_token,
+        diagnostics.router,
+    ):
         app.include_router(router)

@@ -46,6 +46,9 @@ export function instant(utc) {
   return new Intl.DateTimeFormat(language, { dateStyle: "short", timeStyle: "medium" }).format(new Date(utc));
 }
 
+/* Date and time without seconds. */
+export const minute = (utc) => (utc ? new Intl.DateTimeFormat(language, { dateStyle: "short", timeStyle: "short" }).format(new Date(utc)) : "–");
+
 export const timeOfDay = (utc) => new Intl.DateTimeFormat(language, { timeStyle: "medium" }).format(new Date(utc));
 
 /* Translates the elements that name their message in `data-text` (content) or `data-label` (accessible name). */
