@@ -29,7 +29,8 @@ TITLES = {
 _COEFFICIENT = re.compile(r"(E[XYZABC][XYZ])\[(\d+)\]")
 _ORDER_NAMES = {"1": "slope", "2": "bow"}
 _SAMPLES = 101
-_CHANGED_MACHINE = (Decision.FULL_NEEDED.value, Decision.FULL_DONE.value)
+CHANGED_MACHINE = (Decision.FULL_NEEDED.value, Decision.FULL_DONE.value)
+"""Decisions of runs that found the machine itself changed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +108,7 @@ def _volumetric(runs: Sequence[StoredRun], timeline: Array, settings: HistorySet
     """Yield three series: the volumetric error (VE) without a table, the VE with the table active at the end of each
     run, and the rms of the held-out balls with that table.
     """
-    changed = _nights_where(runs, timeline, lambda run: run.night in _CHANGED_MACHINE)
+    changed = _nights_where(runs, timeline, lambda run: run.night in CHANGED_MACHINE)
     anew = _nights_where(runs, timeline, lambda run: bool(run.accepted) and run.kind == "calibrate") + changed
     readings: tuple[tuple[str, Callable[[StoredRun], tuple[float | None, float | None]], float | None], ...] = (
         (BARE, lambda run: (run.ve_before_um, run.ve_before_sigma_um), None),
@@ -131,7 +132,7 @@ def _errors(runs: Sequence[StoredRun], timeline: Array, settings: HistorySetting
     its largest absolute value along the axis.
     """
     tolerances = settings.parameter_tolerances
-    steps = _nights_where(runs, timeline, lambda run: run.night in _CHANGED_MACHINE)
+    steps = _nights_where(runs, timeline, lambda run: run.night in CHANGED_MACHINE)
     whole: dict[str, list[_Values]] = {}
     single: dict[str, list[_Values]] = {}
     units: dict[str, str] = {}

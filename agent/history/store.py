@@ -6,7 +6,7 @@ Each run of a machine has one row in the table of runs. If the run has changed, 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from importlib import import_module
@@ -31,6 +31,7 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
 from sqlalchemy.pool import NullPool
 
 from agent.history.database_url import DatabaseAddress
+from agent.history.recent_runs import RecentRun, recent_runs_query
 from agent.history.run_row import RunRows
 from agent.history.run_selection import (
     NumberedRun,
@@ -47,6 +48,7 @@ from agent.history.schema import (
     METADATA,
     PARAMETERS,
     RUNS,
+    RUNS_BY_START,
     SCHEMA_VERSION,
     TEMPERATURES,
     VERSIONS,
@@ -177,6 +179,12 @@ class HistoryStore:
         found = [NumberedRun(row.number, run) for row, run in zip(rows, runs, strict=True)]
         return RunListing(found, total, kinds, verdicts)
 
+    def recent_runs(self, count: int) -> Sequence[RecentRun]:
+        """Return the latest `count` runs of each machine, sorted by machine, the oldest run of a machine first. Of runs
+        that started at the same instant as the first of these, all are returned."""
+        with self._read_errors(), self._engine.connect() as connection:
+            return checked_rows(RecentRun, connection.execute(recent_runs_query(count)))
+
     def _read(self, query: Select[*tuple[Any, ...]]) -> Sequence[Row[*tuple[Any, ...]]]:
         with self._read_errors(), self._engine.connect() as connection:
             return connection.execute(query).all()
@@ -191,6 +199,8 @@ class HistoryStore:
             if not inspect(connection).has_table(VERSIONS.name):
                 METADATA.create_all(connection)
                 connection.execute(insert(VERSIONS), {"version": SCHEMA_VERSION})
+            elif not inspect(connection).has_index(RUNS.name, str(RUNS_BY_START.name)):
+                _add_index(connection)
             found = connection.execute(select(VERSIONS.c.version)).scalar_one()
         if found != SCHEMA_VERSION:
             raise ConfigurationError(
@@ -266,6 +276,13 @@ def _add_children(connection: Connection, query: Select[Any], runs: Sequence[Sto
             rows = lists.get((row.machine, row.run_id))
             if rows is not None:  # None if another process has stored the run since
                 rows.append(row)
+
+
+def _add_index(connection: Connection) -> None:
+    """Add the index to a database that an earlier program has created. Without the right to do so, reading is slower
+    and nothing else."""
+    with suppress(DBAPIError), connection.begin_nested():
+        RUNS_BY_START.create(connection)
 
 
 def _engine(address: DatabaseAddress) -> Engine:

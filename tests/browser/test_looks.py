@@ -11,7 +11,10 @@ import pytest
 from panel_pages import PANEL
 from playwright.sync_api import Page, Response, Route, expect
 
-SECTIONS = ("map", "curves", "trend", "parameters", "design", "tables", "events", "temperatures", "reports")
+SECTIONS = (
+    *("reports", "map", "curves", "compare", "trend", "parameters"),
+    *("design", "tables", "events", "alarms", "temperatures", "plant"),
+)
 MEASURES = (Path(__file__).parent / "measures.js").read_text()
 INTERACTIVE = {
     "button",

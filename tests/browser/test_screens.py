@@ -23,7 +23,7 @@ from agent.service.allowed_requests import AT_REST, allowed_in
 MEASURES = (Path(__file__).parent / "measures.js").read_text()
 NO_EVENTS = "retry: 3600000\n\n"
 SCREENS = ((390, 844), (800, 480), (768, 1024), (1280, 800), (1920, 1080))
-SECTIONS = 11
+SECTIONS = 12
 RUN = "20261128T010000Z-abcd"
 ALARM = {
     "code": 431,

@@ -84,6 +84,9 @@ def test_runs_are_selected_numbered_and_handed_out_page_by_page(client: httpx.Cl
     assert listed(client, limit=1, verdict="accepted")["total"] == 5
     journaled(tmp_path, 7, machine="mine")
     assert nights(limit=2) == [7, 6]
+    plant = client.get("/api/history/plant").json()
+    assert (plant["machine"], plant["total"], [one["run_id"] for one in plant["machines"]]) == ("mine", 1, [run_id(7)])
+    assert client.get("/api/history/plant", params={"offset": 1}).json()["machines"] == []
     for query in ({"limit": 201}, {"offset": -1}, {"since": "yesterday"}, {"since": "2026-11-03"}, {"text": "x" * 101}):
         refused = client.get("/api/history/runs", params=query)
         assert (refused.status_code, refused.json()["where"]["key"]) == (422, f"query.{next(iter(query))}"), query

@@ -4,6 +4,7 @@ imported at the first request for runs."""
 from __future__ import annotations
 
 from contextlib import closing
+from datetime import datetime
 from typing import TYPE_CHECKING, Annotated
 
 from fastapi import APIRouter, Query
@@ -11,10 +12,18 @@ from pydantic import AwareDatetime
 
 from agent.results.run_verdict import RUNNING
 from agent.service.http.app_state import AppStateDependency
-from agent.service.http.history_models import HistoryAlarm, HistoryAlarmList, HistoryRun, HistoryRunList
+from agent.service.http.history_models import (
+    HistoryAlarm,
+    HistoryAlarmList,
+    HistoryRun,
+    HistoryRunList,
+    PlantMachine,
+    PlantView,
+)
 from agent.service.http.models import AlarmView, VerdictView
 from agent.service.http.problems import DOCUMENTED
 from agent.service.state.alarm_list import alarm_page
+from drivers.clock import utc_timestamp
 
 if TYPE_CHECKING:
     from agent.history.run_selection import NumberedRun
@@ -71,6 +80,23 @@ def history_alarms(app_state: AppStateDependency, limit: Limit = 50, offset: Off
         for one in found.alarms
     ]
     return HistoryAlarmList(alarms=alarms, total=found.total)
+
+
+@router.get("/plant")
+def history_plant(app_state: AppStateDependency, limit: Limit = 50, offset: Offset = 0) -> PlantView:
+    """Return the machines that share the history database, those that need attention first."""
+    from agent.history.database_url import database_address  # noqa: PLC0415
+    from agent.history.plant import RECENT_RUNS, plant_summaries  # noqa: PLC0415
+    from agent.history.store import HistoryStore  # noqa: PLC0415
+    from agent.history.sync import sync_missing  # noqa: PLC0415
+
+    settings = app_state.settings()
+    with closing(HistoryStore(database_address(settings))) as store:
+        sync_missing(settings.state_directory, store)
+        runs = store.recent_runs(RECENT_RUNS)
+    found = plant_summaries(runs, datetime.fromisoformat(utc_timestamp()))
+    machines = [PlantMachine.model_validate(one.as_json()) for one in found[offset : offset + limit]]
+    return PlantView(machine=store.address.machine, machines=machines, total=len(found))
 
 
 def _run_view(numbered: NumberedRun, running: str | None, journaled: frozenset[str]) -> HistoryRun:

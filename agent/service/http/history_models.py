@@ -61,3 +61,33 @@ class HistoryAlarmList(BaseModel):
 
     alarms: list[HistoryAlarm]
     total: int
+
+
+class PlantMachine(BaseModel):
+    """Machine in the history database with its last run, which started `days` days ago.
+
+    `ve_um`, `vce_um` and `held_out_um` are the newest known figures. The drift is that of the VE without a table over
+    the latest runs, in µm per night, with its expanded uncertainty (95 %); both are null if there are too few values.
+    """
+
+    machine: str
+    run_id: str
+    kind: str
+    started: str
+    days: float
+    verdict: VerdictView
+    ve_um: float | None
+    vce_um: float | None
+    held_out_um: float | None
+    drift_um_a_night: float | None
+    drift_expanded_uncertainty: float | None
+    significant: bool
+
+
+class PlantView(BaseModel):
+    """Machines of one page, those that need attention first. `machine` is the name of the service's own machine, and
+    `total` the number of all machines."""
+
+    machine: str
+    machines: list[PlantMachine]
+    total: int

@@ -10,13 +10,14 @@ import * as design from "./section-design.js";
 import * as events from "./section-events.js";
 import * as maps from "./section-map.js";
 import * as parameters from "./section-parameters.js";
+import * as plant from "./section-plant.js";
 import * as reports from "./section-reports.js";
 import * as tables from "./section-tables.js";
 import * as temperatures from "./section-temperatures.js";
 import * as trend from "./section-trend.js";
 import { on, seen } from "./store.js";
 
-const SECTIONS = { reports, map: maps, curves, compare: compared, trend, parameters, design, tables, events, alarms, temperatures };
+const SECTIONS = { reports, map: maps, curves, compare: compared, trend, parameters, design, tables, events, alarms, temperatures, plant };
 const RUNS = 50, TRIED = 5;
 
 const now = { section: "map", run: null, older: null, runs: [], asked: 0, shown: false };
