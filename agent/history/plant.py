@@ -130,4 +130,5 @@ def _series(runs: Sequence[RecentRun]) -> Series | None:
         tolerance=None,
         two_sided=False,
         steps=tuple(sorted({day for day, run in zip(days, runs, strict=True) if run.night in CHANGED_MACHINE})),
+        started_s=np.array([utc_time(run.started).timestamp() for _, run in found]),
     )

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,7 @@ class Series:
 
     `tolerance` is the absolute value that must not be reached, or None if there is none. `two_sided` is True if values
     may have either sign. `steps` contains the nights at which the machine or its table is known to have changed.
+    `started_s` contains the starts of the runs in seconds since 1970, shape (n,).
     """
 
     name: str
@@ -56,6 +58,13 @@ class Series:
     tolerance: float | None
     two_sided: bool
     steps: tuple[float, ...]
+    started_s: Array
+
+    def date(self, night: float) -> datetime:
+        """Return the UTC time of a night: between two runs by interpolation, and by the calendar outside them."""
+        inside = min(max(night, self.nights[0]), self.nights[-1])
+        at_s = float(np.interp(inside, self.nights, self.started_s)) + S_PER_DAY * float(night - inside)
+        return datetime.fromtimestamp(at_s, UTC)
 
 
 def all_series(runs: Sequence[StoredRun], settings: HistorySettings) -> tuple[Series, ...]:
@@ -231,4 +240,5 @@ def _series(
         tolerance=tolerance,
         two_sided=two_sided,
         steps=tuple(sorted(set(steps))),
+        started_s=np.array([utc_time(runs[place].started).timestamp() for place in values.runs]),
     )

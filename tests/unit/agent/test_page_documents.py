@@ -100,7 +100,7 @@ def test_what_a_position_is_worth_is_what_the_set_without_it_leaves(job: Job) ->
 
 def test_before_the_first_run_there_are_no_trends_and_no_results(tmp_path: Path) -> None:
     settings = Settings.model_validate(settings_document(tmp_path))
-    assert TrendCache().document(settings, None) == {"trends": [], "alarms": [], "runs": {}}
+    assert TrendCache().document(settings, None) == {"trends": [], "alarms": [], "marks": [], "runs": {}}
     with pytest.raises(InputError, match="no journal"):
         ResultCache().curves(tmp_path, "20260101T000000Z-0000")
 
@@ -121,6 +121,9 @@ def test_trends_have_the_line_and_the_band_that_are_drawn(tmp_path: Path) -> Non
     whole = trends.document(settings, None)
     assert {"ve_bare", "EXX"} <= {trend["name"] for trend in whole["trends"]}
     assert len(whole["runs"]) == 10
+    assert slope["started"][:2] == ["2026-11-01T02:00:00Z", "2026-11-02T02:00:00Z"]
+    assert [(mark["night"], mark["kind"]) for mark in whole["marks"]] == [(night, "accepted") for night in range(10)]
+    assert whole["marks"][3]["started"] == "2026-11-04T02:00:00Z"
     assert whole["runs"][run_id(3)]["started"].startswith("2026-11-04T02:00:00")
     journaled(tmp_path, 10, 8.8, machine="mine")
     assert len(trends.document(settings, "EXX")["trends"][0]["values"]) == 11

@@ -49,6 +49,8 @@ export function instant(utc) {
 /* Date and time without seconds. */
 export const minute = (utc) => (utc ? new Intl.DateTimeFormat(language, { dateStyle: "short", timeStyle: "short" }).format(new Date(utc)) : "–");
 
+export const day = (at) => new Intl.DateTimeFormat(language, { dateStyle: "short" }).format(new Date(at));
+
 export const timeOfDay = (utc) => new Intl.DateTimeFormat(language, { timeStyle: "medium" }).format(new Date(utc));
 
 /* Translates the elements that name their message in `data-text` (content) or `data-label` (accessible name). */
