@@ -3,7 +3,7 @@ import { draw } from "./dom.js";
 import { number } from "./language.js";
 
 const ROOM = { left: 52, right: 10, top: 24, bottom: 34 };
-const TICKS_X = 5, TICKS_Y = 4, FONT = 12, MOST_DIGITS = 6;
+const TICKS_X = 5, TICKS_Y = 4, FONT = 12, MOST_DIGITS = 6, SHORT = 6;
 
 /* `x`, `y`: ranges; `nameX`: text of a value on the axis; `draws`: functions that take the scales and return elements. */
 export function chart({ name, title, xLabel, yLabel = "", x, y, width = 520, height = 220, draws = [], room = ROOM, ticksX = TICKS_X, nameX = (value) => figure(value, x) }) {
@@ -18,7 +18,7 @@ export function chart({ name, title, xLabel, yLabel = "", x, y, width = 520, hei
     svg.append(draw("line", { x1: room.left, x2: width - room.right, y1: scales.y(value), y2: scales.y(value), class: "grid" }));
     svg.append(label(room.left - 5, scales.y(value) + 4, "end", figure(value, y)));
   }
-  for (const value of rounded(x, ticksX)) svg.append(label(scales.x(value), height - room.bottom + 16, anchorAt(value, x), nameX(value)));
+  for (const value of rounded(x, ticksX)) svg.append(label(scales.x(value), height - room.bottom + 16, anchorAt(value, x, nameX(value).length), nameX(value)));
   if (y[0] < 0 && y[1] > 0) svg.append(draw("line", { x1: room.left, x2: width - room.right, y1: scales.y(0), y2: scales.y(0), class: "zero" }));
   for (const one of draws) svg.append(...one(scales));
   svg.append(label(room.left, 15, "start", title, "title"), label(width - room.right, height - 3, "end", xLabel), label(width - room.right, 15, "end", yLabel));
@@ -39,9 +39,10 @@ export function rounded([low, high], count) {
 }
 
 /* Aligns the numbers at the ends so that they stay inside the chart. */
-function anchorAt(value, [low, high]) {
+function anchorAt(value, [low, high], letters) {
   const share = (value - low) / (high - low || 1);
-  return share < 0.03 ? "start" : share > 0.97 ? "end" : "middle";
+  const edge = letters > SHORT ? 0.12 : 0.03;
+  return share < edge ? "start" : share > 1 - edge ? "end" : "middle";
 }
 
 function figure(value, [low, high]) {
