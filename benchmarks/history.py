@@ -1,4 +1,5 @@
 """Trends of many runs: read from the history database for the first time, after one more run, and with nothing new.
+The list of runs: one page of it, also with a selection.
 
 The runs are synthetic: the parameters of the case study drift and scatter from night to night. They are stored in a
 SQLite database in a temporary directory, and the trends of all series are fitted, in one thread. Times are those of the
@@ -27,6 +28,7 @@ from sqlalchemy import make_url
 from agent.history.cached_trends import CachedTrends
 from agent.history.database_url import DatabaseAddress
 from agent.history.run_row import RunRows
+from agent.history.run_selection import RunSelection
 from agent.history.schema import StoredRun
 from agent.history.store import HistoryStore
 from agent.planning.case_file import CASE_STUDY, load_case
@@ -55,11 +57,14 @@ def main() -> None:
         store.put(next(nights))
         after_one = seconds(lambda: cached.refreshed(store, settings))
         unchanged = seconds(lambda: cached.refreshed(store, settings))
+        selections = (RunSelection(), RunSelection(verdicts=("accepted",), text="timer"))
+        pages = [min(seconds(partial(store.listing, MACHINE, one, 25, 0)) for _ in range(5)) for one in selections]
         store.close()
     print(
         f"{runs} runs: first reading {first:.2f} s, after one more run {after_one:.2f} s, "
         f"with nothing new {unchanged:.3f} s"
     )
+    print(f"page of 25 runs: {1e3 * pages[0]:.0f} ms, selected by verdict and text {1e3 * pages[1]:.0f} ms")
     few, many = (min(seconds(partial(steps_of, length)) for _ in range(9)) for length in (runs // 4, runs))
     print(f"search for steps: {1e3 * many:.1f} ms for {runs} nights; ratio to a quarter of them: {many / few:.1f}")
 

@@ -20,6 +20,7 @@ from agent.cli.options import PATH, config_option
 if will_run():
     from rich.table import Table
 
+    from agent.cli.comparison_tables import comparison_tables
     from agent.cli.printing import columns_table, results_console
     from agent.errors import MeasurementFault
     from agent.execution.journal_compaction import journal_bytes, release_space
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 
 MB = 1e6
 RUN_COLUMNS = ("run", "kind", "verdict", "min", "VE", "VCE", "held out before", "after", "started by")
+PLANT_COLUMNS = ("machine", "days ago", "last run", "verdict", "VE", "VCE", "held out", "VE drift, µm/night (95 %)")
 _machine = click.option("--machine", metavar="NAME", help="Another machine in the same database.")
 _json = click.option("--json", "as_json_object", is_flag=True, help="Print one JSON object on stdout.")
 
@@ -110,6 +112,59 @@ def trend_command(
         click.echo(f"{alarm.kind.value}: {alarm.text}", err=True)
     if grave:
         raise fail(MeasurementFault("; ".join(grave), hint="calibrate before the tolerance is reached"))
+
+
+@history_group.command("compare")
+@click.argument("one", metavar="RUN")
+@click.argument("other", metavar="RUN")
+@config_option
+@_json
+@reported
+def compare_command(one: str, other: str, config: Path, as_json_object: bool) -> None:
+    """Compare two runs: the second RUN minus the first.
+
+    Figures, geometric errors, error field and the tables written.
+    """
+    # The mathematics of the error field is slow to import, and the list of runs does not need it.
+    from agent.reports.run_comparison import compare_runs  # noqa: PLC0415
+
+    with naming(config):
+        found = compare_runs(read_settings(config).state_directory, one, other)
+    if as_json_object:
+        click.echo(json.dumps(found.as_json(), allow_nan=False))
+        return
+    for table in comparison_tables(found.as_json()):
+        results_console().print(table)
+
+
+@history_group.command("plant")
+@config_option
+@click.option("--html", type=PATH, metavar="FILE", help="Write a page with all machines into this file.")
+@_json
+@reported
+def plant_command(config: Path, html: Path | None, as_json_object: bool) -> None:
+    """List all machines of the database: last run, verdict, VE, drift."""
+    # The mathematics of trends is slow to import, and the list of runs does not need it.
+    from agent.history.plant import RECENT_RUNS, plant_summaries  # noqa: PLC0415
+    from agent.reports.plant_page import drift_text, plant_html  # noqa: PLC0415
+
+    now = datetime.fromisoformat(utc_timestamp())
+    with _opened(config) as (_, store):
+        machines = plant_summaries(store.recent_runs(RECENT_RUNS), now)
+    if html is not None:
+        write_atomically(html, plant_html(machines, store.address.text, now))
+    if as_json_object:
+        document = {"database": store.address.text, "machines": [one.as_json() for one in machines]}
+        click.echo(json.dumps(document, allow_nan=False))
+    elif html is not None:
+        click.echo(f"{len(machines)} machines: {html}", err=True)
+    else:
+        table = columns_table(PLANT_COLUMNS, whole=("machine",))
+        for one in machines:
+            verdict = f"{one.last.verdict.sign} {one.last.verdict.word['en']}"
+            figures = ("-" if value is None else f"{value:.2f}" for value in (one.ve_um, one.vce_um, one.held_out_um))
+            table.add_row(one.machine, f"{one.days:.1f}", one.last.kind, verdict, *figures, drift_text(one))
+        results_console().print(table)
 
 
 @history_group.command("export")

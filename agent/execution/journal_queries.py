@@ -58,6 +58,21 @@ EVENT = (
     "SELECT rowid, at, kind, record FROM events WHERE run = :run AND rowid > :after "
     "AND (:kinds IS NULL OR kind IN (SELECT value FROM json_each(:kinds))){aside} ORDER BY rowid LIMIT :limit"
 )
+_ALARMS = (  # SQLite takes the other columns from the row with the largest number
+    "WITH listed (number, run, at, kind, record) AS (SELECT rowid, run, at, kind, record FROM events "
+    "WHERE kind = 'alarm' UNION ALL SELECT max(fault.rowid), fault.run, fault.at, fault.kind, fault.record "
+    "FROM events AS fault JOIN runs USING (run) WHERE fault.kind = 'fault' AND state IN ('faulted', 'aborted') "
+    "AND NOT EXISTS (SELECT 1 FROM events WHERE events.run = fault.run AND kind = 'alarm') GROUP BY fault.run), "
+    "closed AS (SELECT listed.*, (SELECT min(at) FROM events WHERE events.run = listed.run "
+    "AND events.rowid > listed.number AND (kind = 'acknowledged' OR (kind = 'state' AND listed.kind = 'alarm'))) "
+    "AS settled, (SELECT started FROM runs WHERE runs.run > listed.run ORDER BY runs.run LIMIT 1) AS followed "
+    "FROM listed) "
+)
+ALARM = _ALARMS + (
+    "SELECT run_id, runs.kind, closed.number, at, min(coalesce(settled, followed), coalesce(followed, settled)), "
+    "closed.kind, record FROM closed JOIN runs USING (run) ORDER BY closed.number DESC LIMIT :limit OFFSET :offset"
+)
+ALARM_COUNT = _ALARMS + "SELECT count(*) FROM listed"
 COMPACTED = "compacted_runs"
 NONE_COMPACTED = "(SELECT NULL AS run, NULL AS balls, NULL AS touches, NULL AS content WHERE 0)"
 CONTENT = "SELECT content FROM {compacted} WHERE run = :run"

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from agent.execution import journal_queries as queries
 from agent.execution.journal_rows import (
+    AlarmRow,
     BallRow,
     DecisionRow,
     EventRow,
@@ -273,6 +274,16 @@ class JournalReader:
         """Return the row number of the last event of the kind `kind` in the run; 0 if there is none."""
         query = "SELECT coalesce(max(rowid), 0) FROM events WHERE run = :run AND kind = :kind"
         return int(self._value(query, run=run, kind=kind))
+
+    def alarms(self, limit: int, offset: int = 0) -> tuple[AlarmRow, ...]:
+        """Return at most `limit` alarms of all runs, the latest first, without the first `offset` ones.
+
+        An error that ended a run counts as an alarm if the service has recorded none, as with runs of the command line.
+        """
+        return self._rows(AlarmRow, queries.ALARM, limit=limit, offset=offset)
+
+    def count_alarms(self) -> int:
+        return int(self._value(queries.ALARM_COUNT))
 
     def decisions(self, run: int, *, procedure_only: bool = False) -> tuple[DecisionRow, ...]:
         query = queries.DECISION + "WHERE run = :run{aside} ORDER BY decisions.rowid"

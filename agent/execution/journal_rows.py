@@ -140,6 +140,24 @@ class EventRow(_Recorded):
 
 
 @dataclass(frozen=True)
+class AlarmRow(_Recorded):
+    """Alarm of a run of the kind `run_kind`. It was raised at the UTC time `at`.
+
+    `until` is the UTC time at which the alarm was acknowledged, the run was resumed or the next run started, whichever
+    came first; None if nothing of this is recorded. `kind` is ``alarm`` if the service has recorded the alarm, and
+    ``fault`` if only the error that ended the run is known; `record` differs accordingly.
+    """
+
+    run_id: str
+    run_kind: str
+    number: int
+    at: str
+    until: str | None
+    kind: str
+    record_text: str
+
+
+@dataclass(frozen=True)
 class DecisionRow(_Recorded):
     """Decision of a run, such as the acceptance of a table. `at` is the UTC time of the decision in ISO 8601."""
 

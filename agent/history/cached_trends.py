@@ -11,13 +11,11 @@ from contextlib import closing
 from dataclasses import dataclass
 from threading import Lock
 
-from agent.execution.journal_reader import has_journal
-from agent.execution.run_record import run_ids
 from agent.history.database_url import database_address
 from agent.history.overview import trends_of
 from agent.history.schema import StoredRun, utc_time
 from agent.history.store import HistoryStore
-from agent.history.sync import sync_ends
+from agent.history.sync import sync_missing
 from agent.history.trends import Trend
 from agent.settings.history import HistorySettings
 from agent.settings.schema import Settings
@@ -47,9 +45,7 @@ class CachedTrends:
         if the history cannot be read.
         """
         with closing(HistoryStore(database_address(settings))) as store:
-            directory = settings.state_directory
-            if has_journal(directory) and not set(run_ids(directory)) <= store.digests(store.address.machine).keys():
-                sync_ends(directory, store)
+            sync_missing(settings.state_directory, store)
             return self.refreshed(store, settings.history)
 
     def refreshed(self, store: HistoryStore, settings: HistorySettings) -> MachineTrends:

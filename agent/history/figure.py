@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from agent.figures.style import BAND_OPACITY, BLUE, INK, ORANGE, PURPLE, QUIET, Drawing, Margins, picture
 from agent.history.trends import Trend
@@ -66,23 +66,25 @@ def _panel(panel: Axes, trend: Trend, quiet: str) -> None:
             panel.axhline(side * series.tolerance, color=PURPLE, linewidth=1.0, linestyle="--")
     if not series.two_sided:
         panel.set_ylim(bottom=0.0)
-    panel.set_xlabel("nights", labelpad=1)
     panel.set_ylabel(series.unit)
-    panel.xaxis.set_major_locator(MaxNLocator(integer=True))
+    panel.xaxis.set_major_locator(MaxNLocator(nbins=4))
+    panel.xaxis.set_major_formatter(FuncFormatter(lambda night, _: f"{series.date(night):%Y-%m-%d}"))
 
 
 def _line(panel: Axes, trend: Trend, drift: Drift, quiet: str) -> None:
     """Draw the fitted line in sections from step to step, so that no slanted line connects the two sides of a step.
 
-    The uncertainty band is drawn only for the last section.
+    The uncertainty band is drawn only for the last section. Without a significant slope only the steps are drawn.
     """
     nights = trend.series.nights
+    for at, _, _ in drift.steps:
+        panel.axvline(at, color=quiet, linewidth=0.7, linestyle="-.")
+    if not drift.significant:
+        return
     edges = [-np.inf, *(at for at, _, _ in drift.steps), np.inf]
     for start, end in pairwise(edges):
         chosen = (nights >= start) & (nights < end)
         panel.plot(nights[chosen], drift.fitted[chosen], color=ORANGE, linewidth=1.2)
-    for at, _, _ in drift.steps:
-        panel.axvline(at, color=quiet, linewidth=0.7, linestyle="-.")
     recent = nights[nights >= edges[-2]]
     ahead = [drift.predict(night - nights[-1]) for night in recent]
     value, sigma = np.array(ahead).T

@@ -20,6 +20,7 @@ from sqlalchemy import (
     DateTime,
     Double,
     ForeignKeyConstraint,
+    Index,
     Integer,
     MetaData,
     String,
@@ -178,6 +179,9 @@ METADATA = MetaData()
 VERSIONS = Table("volcal_schema", METADATA, Column("version", Integer, primary_key=True))
 """Table whose only row contains the schema version of the database."""
 RUNS = Table("volcal_runs", METADATA, *_columns(StoredRun, ("machine", "run_id")))
+RUNS_BY_START = Index("volcal_runs_by_start", RUNS.c.machine, RUNS.c.started)
+"""Index for the latest runs of each machine. It is not part of the schema version: a program that does not know it
+reads and writes the same tables."""
 PARAMETERS = _child("volcal_parameters", StoredParameter, "name")
 TEMPERATURES = _child("volcal_temperatures", StoredTemperature, "sensor")
 DECISIONS = _child("volcal_decisions", StoredDecision, "place")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,8 @@ TITLES = {
 _COEFFICIENT = re.compile(r"(E[XYZABC][XYZ])\[(\d+)\]")
 _ORDER_NAMES = {"1": "slope", "2": "bow"}
 _SAMPLES = 101
-_CHANGED_MACHINE = (Decision.FULL_NEEDED.value, Decision.FULL_DONE.value)
+CHANGED_MACHINE = (Decision.FULL_NEEDED.value, Decision.FULL_DONE.value)
+"""Decisions of runs that found the machine itself changed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +44,7 @@ class Series:
 
     `tolerance` is the absolute value that must not be reached, or None if there is none. `two_sided` is True if values
     may have either sign. `steps` contains the nights at which the machine or its table is known to have changed.
+    `started_s` contains the starts of the runs in seconds since 1970, shape (n,).
     """
 
     name: str
@@ -55,6 +58,13 @@ class Series:
     tolerance: float | None
     two_sided: bool
     steps: tuple[float, ...]
+    started_s: Array
+
+    def date(self, night: float) -> datetime:
+        """Return the UTC time of a night: between two runs by interpolation, and by the calendar outside them."""
+        inside = min(max(night, self.nights[0]), self.nights[-1])
+        at_s = float(np.interp(inside, self.nights, self.started_s)) + S_PER_DAY * float(night - inside)
+        return datetime.fromtimestamp(at_s, UTC)
 
 
 def all_series(runs: Sequence[StoredRun], settings: HistorySettings) -> tuple[Series, ...]:
@@ -107,7 +117,7 @@ def _volumetric(runs: Sequence[StoredRun], timeline: Array, settings: HistorySet
     """Yield three series: the volumetric error (VE) without a table, the VE with the table active at the end of each
     run, and the rms of the held-out balls with that table.
     """
-    changed = _nights_where(runs, timeline, lambda run: run.night in _CHANGED_MACHINE)
+    changed = _nights_where(runs, timeline, lambda run: run.night in CHANGED_MACHINE)
     anew = _nights_where(runs, timeline, lambda run: bool(run.accepted) and run.kind == "calibrate") + changed
     readings: tuple[tuple[str, Callable[[StoredRun], tuple[float | None, float | None]], float | None], ...] = (
         (BARE, lambda run: (run.ve_before_um, run.ve_before_sigma_um), None),
@@ -131,7 +141,7 @@ def _errors(runs: Sequence[StoredRun], timeline: Array, settings: HistorySetting
     its largest absolute value along the axis.
     """
     tolerances = settings.parameter_tolerances
-    steps = _nights_where(runs, timeline, lambda run: run.night in _CHANGED_MACHINE)
+    steps = _nights_where(runs, timeline, lambda run: run.night in CHANGED_MACHINE)
     whole: dict[str, list[_Values]] = {}
     single: dict[str, list[_Values]] = {}
     units: dict[str, str] = {}
@@ -230,4 +240,5 @@ def _series(
         tolerance=tolerance,
         two_sided=two_sided,
         steps=tuple(sorted(set(steps))),
+        started_s=np.array([utc_time(runs[place].started).timestamp() for place in values.runs]),
     )

@@ -6,7 +6,7 @@ Each run of a machine has one row in the table of runs. If the run has changed, 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from importlib import import_module
@@ -21,6 +21,7 @@ from sqlalchemy import (
     create_engine,
     delete,
     event,
+    func,
     insert,
     inspect,
     select,
@@ -30,12 +31,24 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
 from sqlalchemy.pool import NullPool
 
 from agent.history.database_url import DatabaseAddress
+from agent.history.recent_runs import RecentRun, recent_runs_query
 from agent.history.run_row import RunRows
+from agent.history.run_selection import (
+    NumberedRun,
+    RunListing,
+    RunSelection,
+    VerdictGroup,
+    conditions,
+    counts,
+    groups_query,
+    numbered_runs_query,
+)
 from agent.history.schema import (
     DECISIONS,
     METADATA,
     PARAMETERS,
     RUNS,
+    RUNS_BY_START,
     SCHEMA_VERSION,
     TEMPERATURES,
     VERSIONS,
@@ -150,6 +163,28 @@ class HistoryStore:
                 _add_children(connection, query, found)
         return found
 
+    def listing(self, machine: str, selection: RunSelection, limit: int, offset: int) -> RunListing:
+        """Return at most `limit` of the selected runs of one machine, the latest first, without the first `offset`
+        ones. Their parameters, temperatures and decisions are left empty."""
+        with self._read_errors(), self._engine.connect() as connection:
+            groups = checked_rows(VerdictGroup, connection.execute(groups_query(machine)))
+            numbers = numbered_runs_query(machine).subquery()
+            chosen = (RUNS.c.machine == machine, *conditions(selection, groups))
+            total = connection.execute(select(func.count()).where(*chosen)).scalar_one()
+            query = select(numbers.c.number, RUNS).join(RUNS, RUNS.c.run_id == numbers.c.numbered).where(*chosen)
+            query = query.order_by(numbers.c.number.desc()).limit(limit).offset(offset)
+            rows = connection.execute(query).all()
+            runs = checked_rows(StoredRun, [row[1:] for row in rows])
+        kinds, verdicts = counts(groups)
+        found = [NumberedRun(row.number, run) for row, run in zip(rows, runs, strict=True)]
+        return RunListing(found, total, kinds, verdicts)
+
+    def recent_runs(self, count: int) -> Sequence[RecentRun]:
+        """Return the latest `count` runs of each machine, sorted by machine, the oldest run of a machine first. Of runs
+        that started at the same instant as the first of these, all are returned."""
+        with self._read_errors(), self._engine.connect() as connection:
+            return checked_rows(RecentRun, connection.execute(recent_runs_query(count)))
+
     def _read(self, query: Select[*tuple[Any, ...]]) -> Sequence[Row[*tuple[Any, ...]]]:
         with self._read_errors(), self._engine.connect() as connection:
             return connection.execute(query).all()
@@ -164,6 +199,8 @@ class HistoryStore:
             if not inspect(connection).has_table(VERSIONS.name):
                 METADATA.create_all(connection)
                 connection.execute(insert(VERSIONS), {"version": SCHEMA_VERSION})
+            elif not inspect(connection).has_index(RUNS.name, str(RUNS_BY_START.name)):
+                _add_index(connection)
             found = connection.execute(select(VERSIONS.c.version)).scalar_one()
         if found != SCHEMA_VERSION:
             raise ConfigurationError(
@@ -239,6 +276,13 @@ def _add_children(connection: Connection, query: Select[Any], runs: Sequence[Sto
             rows = lists.get((row.machine, row.run_id))
             if rows is not None:  # None if another process has stored the run since
                 rows.append(row)
+
+
+def _add_index(connection: Connection) -> None:
+    """Add the index to a database that an earlier program has created. Without the right to do so, reading is slower
+    and nothing else."""
+    with suppress(DBAPIError), connection.begin_nested():
+        RUNS_BY_START.create(connection)
 
 
 def _engine(address: DatabaseAddress) -> Engine:

@@ -9,7 +9,9 @@ from collections.abc import Iterable
 from datetime import datetime
 from pathlib import Path
 
-from agent.execution.run_record import RunHead, read_record, run_heads, run_ids
+from agent.execution.journal_reader import has_journal, open_journal
+from agent.execution.journal_rows import RunRow
+from agent.execution.run_record import read_record, run_heads, run_ids
 from agent.history.run_row import machine_name, run_rows
 from agent.history.schema import utc_time
 from agent.history.store import HistoryStore, RunEnd
@@ -41,10 +43,26 @@ def sync_ends(directory: Path, store: HistoryStore) -> tuple[str, ...]:
         machine = machine_name(head.settings)
         if machine not in stored:
             stored[machine] = dict(store.ends(machine))
-        end = _end_of(head)
+        end = _end(head.row)
         if end is None or head.added_after_end or stored[machine].get(head.row.run_id) != end:
             changed.append(head.row.run_id)
     return _store_changed(directory, changed, store)
+
+
+def sync_missing(directory: Path, store: HistoryStore) -> frozenset[str]:
+    """Store the runs whose start or end is missing in the history database, and return the identities of all runs of
+    the journal in the state directory `directory`. Without a journal, nothing is stored.
+
+    If nothing is missing, only the rows of the runs are read.
+    """
+    if not has_journal(directory):
+        return frozenset()
+    with open_journal(directory) as reader:
+        rows = reader.runs()
+    stored = store.ends(store.address.machine)
+    if any(row.run_id not in stored or _end(row) not in (None, stored[row.run_id]) for row in rows):
+        sync_ends(directory, store)
+    return frozenset(row.run_id for row in rows)
 
 
 def _store_changed(directory: Path, chosen: Iterable[str], store: HistoryStore) -> tuple[str, ...]:
@@ -61,9 +79,8 @@ def _store_changed(directory: Path, chosen: Iterable[str], store: HistoryStore) 
     return tuple(written)
 
 
-def _end_of(head: RunHead) -> RunEnd | None:
+def _end(row: RunRow) -> RunEnd | None:
     """Return the end of a run, or None while the run is in progress or can be resumed."""
-    row = head.row
     return (
         None if row.ended is None else RunEnd(utc_time(datetime.fromisoformat(row.ended)), row.state, row.reason or "")
     )

@@ -7,9 +7,10 @@ number of its parent class.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 from agent import errors as run_errors
 from agent.service.control import Alarm
@@ -149,3 +150,23 @@ def alarm_of(error: BaseException) -> Alarm:
         general = found if of_file else CODES[errors.UserError]
         return Alarm(found.code, error.message, error.hint or general.hint, MappingProxyType(dict(error.where)))
     return Alarm(found.code, found.text, found.hint)
+
+
+def recorded_alarm(record: Mapping[str, Any]) -> Alarm | None:
+    """Return the alarm that the service has recorded in the journal as `record`, or None if the record is damaged or of
+    another version of volcal."""
+    try:
+        where = {str(place): str(found) for place, found in record["where"].items()}
+        return Alarm(int(record["code"]), str(record["text"]), str(record["hint"]), where)
+    except (AttributeError, KeyError, TypeError, ValueError, errors.InputError):
+        return None
+
+
+def journaled_alarm(record: Mapping[str, Any], unknown: AlarmCode) -> Alarm:
+    """Return the alarm for an error that a run has journaled as `record`. If its class has no number, the alarm has
+    that of `unknown`."""
+    found = code_of_name(str(record.get("type", "")), unknown)
+    step = record.get("step")
+    return Alarm(
+        found.code, str(record.get("error", "")) or found.text, found.hint, {"step": str(step)} if step else {}
+    )

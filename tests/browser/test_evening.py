@@ -53,6 +53,42 @@ def bank_shown(page: Page) -> str:
     return page.locator("#content .facts dd").nth(1).inner_text()
 
 
+def select_and_compare(page: Page) -> None:
+    """Three runs have ended: a calibration, a night and a restored table."""
+    rows = page.locator("#content tbody tr")
+    expect(rows).to_have_count(3)
+    expect(rows.locator("td:nth-child(2)")).to_have_text(["3", "2", "1"])
+    expect(page.locator("#filter-kind option")).to_contain_text(["all", "Calibrate (1)", "Night run (1)"])
+    page.select_option("#filter-kind", "calibrate")
+    expect(rows).to_have_count(1)
+    rows.locator("input[type=checkbox]").check()
+    page.select_option("#filter-kind", "")
+    expect(rows).to_have_count(3)
+    expect(page.locator("#compare")).to_be_disabled()
+    rows.nth(1).locator("input[type=checkbox]").check()
+    page.click("#compare")
+    expect(page.locator("#section-compare")).to_have_attribute("aria-current", "page")
+    heads = page.locator("#content table").first.locator("tr", has_text="Kind").locator("td")
+    expect(heads).to_have_text(["Kind", "Calibrate", "Night run", ""])
+    page.click("#section-trend")
+    figure = page.locator(".trend .chart").first
+    expect(figure.locator(".event.accepted").first).to_be_attached()
+    expect(page.locator(".choice [aria-pressed=true]")).to_have_text("All")
+    box = figure.bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 80)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.9 * box["width"], box["y"] + 80)
+    page.mouse.up()
+    expect(page.locator(".choice [aria-pressed=true]")).to_have_count(0)
+    page.click("#content .choice button >> nth=0")
+    expect(page.locator(".choice [aria-pressed=true]")).to_have_text("All")
+    page.click("#section-reports")
+    rows.nth(2).locator("button.plain").click()
+    expect(page.locator("#section-map")).to_have_attribute("aria-current", "page")
+    expect(page.locator("#content .planes canvas")).to_have_count(3)
+
+
 def test_a_calibration_by_hand_a_night_and_a_table_taken_back(page: Page, house: Service) -> None:
     begin(page, "calibrate")
     page.click("dialog summary")
@@ -113,6 +149,7 @@ def test_a_calibration_by_hand_a_night_and_a_table_taken_back(page: Page, house:
     with page.expect_download() as diagnostics:
         page.click("#diagnostics")
     assert diagnostics.value.path().read_bytes().startswith(b"PK")
+    select_and_compare(page)
 
 
 def test_hold_resume_and_abort_that_asks_nothing(page: Page, house: Service) -> None:

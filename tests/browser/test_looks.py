@@ -13,7 +13,10 @@ from playwright.sync_api import Page, Response, Route, expect
 
 from agent.language.sentences import catalogue, german
 
-SECTIONS = ("map", "curves", "trend", "parameters", "design", "tables", "events", "temperatures", "reports")
+SECTIONS = (
+    *("reports", "map", "curves", "compare", "trend", "parameters"),
+    *("design", "tables", "events", "alarms", "temperatures", "plant"),
+)
 MEASURES = (Path(__file__).parent / "measures.js").read_text()
 INTERACTIVE = {
     "button",

@@ -8,22 +8,18 @@ counted as skipped.
 from __future__ import annotations
 
 import os
-import pwd
-import shutil
-import socket
-import subprocess
-import tempfile
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import psycopg
 import pytest
 from aloud import NOT_HERE
 from nights import Night, short_document
-from sqlalchemy import URL
+from postgresql_server import PASSWORD, Server, running_server
 from stored_run import stored_run
 
 from agent.execution.journal_copy import copy_journal
@@ -37,85 +33,19 @@ from agent.planning.job_preparation import prepare_job
 from agent.settings.schema import Settings
 from drivers.errors import LinkLost
 
-PASSWORD = "for-this-test-only"  # noqa: S105  of a server that lives as long as the test
+GUIDE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "read-the-history.md"
 SWITCH = "VOLCAL_WITHOUT_POSTGRESQL"
-
-
-def programs() -> Path:
-    """Return the directory of initdb and pg_ctl of the newest version."""
-    found = shutil.which("pg_ctl")
-    if found is not None:
-        return Path(found).resolve().parent
-    for folder in sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True):
-        return folder
-    if os.environ.get(SWITCH) == "1":
-        pytest.skip(f"{NOT_HERE}: history on PostgreSQL: not installed, and {SWITCH}=1 says it need not be")
-    pytest.fail(f"PostgreSQL is not installed: apt-get install postgresql, or set {SWITCH}=1 to go without this proof")
-
-
-@dataclass(frozen=True)
-class Server:
-    """A cluster of its own on loopback, with a password for everybody."""
-
-    bin: Path
-    folder: Path
-    port: int
-    user: str
-
-    def start(self) -> None:
-        options = f"-h 127.0.0.1 -p {self.port} -k {self.folder} -c fsync=off -c shared_buffers=16MB"
-        self._run("pg_ctl", "-D", self.data, "-o", options, "-l", str(self.folder / "log"), "-w", "-t", "30", "start")
-
-    def stop(self) -> None:
-        self._run("pg_ctl", "-D", self.data, "-m", "immediate", "-w", "-t", "30", "stop")
-
-    def create(self) -> None:
-        secret = self.folder / "password"
-        secret.write_text(PASSWORD)
-        secret.chmod(0o644)
-        self._run("initdb", "-D", self.data, "-U", "volcal", "-A", "scram-sha-256", f"--pwfile={secret}", "-E", "UTF8")
-
-    @property
-    def data(self) -> str:
-        return str(self.folder / "data")
-
-    def address(self, machine: str) -> DatabaseAddress:
-        url = URL.create("postgresql+psycopg", "volcal", PASSWORD, "127.0.0.1", self.port, "postgres")
-        return DatabaseAddress(url, machine, 5.0)
-
-    def _run(self, program: str, *arguments: str) -> None:
-        command = [str(self.bin / program), *arguments]
-        if os.geteuid() == 0:
-            command = ["runuser", "-u", self.user, "--", *command]
-        with (self.folder / f"{program}.out").open("ab") as out:
-            done = subprocess.run(command, stdout=out, stderr=out, cwd=self.folder, check=False, timeout=600.0)
-        assert done.returncode == 0, (self.folder / f"{program}.out").read_text()
 
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[Server]:
-    found = programs()
-    with tempfile.TemporaryDirectory(prefix="volcal-pg-") as directory:
-        user = next((name for name in ("postgres", "nobody") if _exists(name)), "nobody")
-        server = Server(found, Path(directory), _free_port(), user)
-        if os.geteuid() == 0:
-            os.chown(directory, pwd.getpwnam(user).pw_uid, -1)
-        server.create()
-        server.start()
-        try:
-            yield server
-        finally:
-            server.stop()
-
-
-def _exists(user: str) -> bool:
-    return any(entry.pw_name == user for entry in pwd.getpwall())
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    try:
+        with running_server() as started:
+            yield started
+    except FileNotFoundError as missing:
+        if os.environ.get(SWITCH) == "1":
+            pytest.skip(f"{NOT_HERE}: history on PostgreSQL: not installed, and {SWITCH}=1 says it need not be")
+        pytest.fail(f"{missing}, or set {SWITCH}=1 to go without this proof")
 
 
 @pytest.fixture(scope="module")
@@ -197,3 +127,30 @@ def test_a_wrong_password_is_reported_without_showing_it(server: Server) -> None
     with pytest.raises(LinkLost) as told:
         HistoryStore(wrong)
     assert PASSWORD[::-1] not in str(told.value)
+
+
+def test_a_machine_may_be_given_its_own_rows_only(
+    server: Server, measured: tuple[Path, object], tmp_path: Path
+) -> None:
+    """By the statements of the guide: a role writes and sees the rows of the machine that has its name, and the role of
+    the plant sees all rows and writes none."""
+    with closing(HistoryStore(server.address("mill-8"))) as store:
+        sync(renamed(measured[0], "mill-8", tmp_path), store)
+    statements = GUIDE.read_text(encoding="utf-8").partition("```sql\n")[2].partition("```")[0]
+    with psycopg.connect(**server.login, autocommit=True) as connection:
+        connection.execute(statements)
+        connection.execute(f"ALTER ROLE \"mill-7\" PASSWORD '{PASSWORD}'; ALTER ROLE plant PASSWORD '{PASSWORD}'")
+
+    def opened(role: str) -> HistoryStore:
+        address = server.address("mill-7")
+        return HistoryStore(replace(address, url=address.url.set(username=role)))
+
+    with closing(opened("mill-7")) as own:
+        assert sync(renamed(measured[0], "mill-7", tmp_path), own)
+        assert own.machines() == ("mill-7",)
+        with pytest.raises(LinkLost, match="row-level security"):
+            sync(renamed(measured[0], "mill-9", tmp_path), own)
+    with closing(opened("plant")) as plant:
+        assert {"mill-7", "mill-8"} <= {run.machine for run in plant.recent_runs(30)}
+        with pytest.raises(LinkLost, match="permission denied"):
+            sync(renamed(measured[0], "mill-10", tmp_path), plant)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
 from nights import Night, short_document
-from volcal_command import volcal
+from volcal_command import volcal, volcal_json
 
 from agent.execution.journal_compaction import packed_record, store_packed
 from agent.execution.journal_copy import copy_journal
@@ -22,9 +22,11 @@ from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
 from agent.reports.page.pdf import render_pdf
 from agent.reports.render_from_journal import render_from_journal
+from agent.reports.run_comparison import compared_run, comparison_of
 from agent.reports.run_report import report_of
 from agent.runs.kinds.verify import Verification
 from agent.runs.session import RunResult
+from agent.service.page.result_cache import comparison_document
 from drivers.errors import InputError
 from twin.formats.estimate_file import parse_estimate
 from twin.machine.volumetric import QuadraticForm, evaluation_grid
@@ -72,6 +74,73 @@ def page(season: Season, ended: RunResult) -> str:
     """As it was written at the run's end; that the same can be made again is a test of its own."""
     assert ended.outcome.report is not None
     return ended.outcome.report.read_text(encoding="utf-8")
+
+
+def minimal_config(tmp_path: Path, season: Season) -> Path:
+    """Settings with the state directory of the season."""
+    config = tmp_path / "volcal.toml"
+    listed = Path(str(season.document["machine"]))
+    roles = "\n".join(f'{role} = "twin"' for role in ("machine", "probe", "store", "thermometer", "operator", "mount"))
+    config.write_text(
+        f'machine = "{listed}"\nartefact = "{season.document["artefact"]}"\nstate_directory = "{season.state}"\n'
+        f'[devices.twin]\ndriver = "simulated"\n[devices.twin.options]\n'
+        f'scenario = "{listed.parents[1] / "simulators" / "case-study.toml"}"\n'
+        f"[roles]\n{roles}\n[stations]\nplaces_mm = [[700.0, 1000.0, 750.0]]\n"
+    )
+    return config
+
+
+class TestCompared:
+    def test_errors_field_and_table_differ_by_what_was_changed(self, season: Season) -> None:
+        """The second run is the first one with 3 µm more slope of EXX, 2 µrad more squareness and one node changed."""
+        one = compared_run(season.state, season.calibrated.outcome.run_id)
+        assert one.estimate is not None
+        assert one.table is not None
+        assert one.tool_offset_mm is not None
+        model, parameters = one.estimate.model, one.estimate.parameters.copy()
+        parameters[model.index("EXX[1]")] += 3e-3
+        parameters[model.index("C0Y")] += 2e-6
+        counts = one.table.counts.copy()
+        counts[1, 2, 1] += [3, 0, -4]
+        estimate = replace(one.estimate, parameters=parameters)
+        found = comparison_of(one, replace(one, estimate=estimate, table=replace(one.table, counts=counts)))
+        document = found.as_json()
+        errors = {row["name"]: row for row in document["identified"]["errors"]}
+        assert len(errors) == 21
+        x_mm = model.ranges_mm[0]
+        assert abs(errors["EXX"]["largest"]) == pytest.approx(3.0)
+        assert errors["EXX"]["largest"] == pytest.approx(-3.0 if errors["EXX"]["at_mm"] == x_mm[0] else 3.0)
+        assert errors["EXX"]["at_mm"] in x_mm
+        sigma = one.estimate.standard_uncertainty[model.index("C0Y")]
+        assert (errors["C0Y"]["largest"], errors["C0Y"]["at_mm"]) == (pytest.approx(2.0), None)
+        assert errors["C0Y"]["expanded_uncertainty"] == pytest.approx(2e6 * 2**0.5 * sigma)
+        assert {name for name, row in errors.items() if row["largest"]} == {"EXX", "C0Y"}
+        form = QuadraticForm.build(model, evaluation_grid(model.ranges_mm), one.tool_offset_mm)
+        expected_um = form.value(parameters - one.estimate.parameters).aligned_um
+        assert document["identified"]["field"]["rms_um"] == pytest.approx(expected_um, rel=1e-3)
+        axes = {row["axis"]: row for row in document["tables"]["axes"]}
+        unit_um = 1e3 * one.table.resolution_mm
+        node = [o + s * n for o, s, n in zip(one.table.origin_mm, one.table.step_mm, (1, 2, 1), strict=True)]
+        assert (axes["X"]["largest_um"], axes["X"]["at_mm"]) == (pytest.approx(3 * unit_um), pytest.approx(node))
+        assert (axes["Z"]["largest_um"], axes["Y"]["largest_um"]) == (pytest.approx(-4 * unit_um), 0.0)
+        drawn = comparison_document(found)
+        assert max(max(row) for row in drawn["identified"]["field"]["planes"][2]["length_um"]) > 0.0
+        assert sum(value > 0.0 for p in drawn["tables"]["planes"] for row in p["length_um"] for value in row) <= 1
+
+    def test_the_command_says_what_cannot_be_compared(self, season: Season, tmp_path: Path) -> None:
+        runs = [season.calibrated.outcome.run_id, season.verified.outcome.run_id]
+        config = minimal_config(tmp_path, season)
+        printed = volcal("history", "compare", *runs, "--config", config)
+        assert all(run in printed.stdout for run in runs)
+        assert f"not both runs identified errors: {runs[1]} did not" in " ".join(printed.stdout.split())
+        stated = volcal_json("history", "compare", *runs, "--config", config)
+        assert [run["run_id"] for run in stated["runs"]] == runs
+        assert (stated["identified"]["reason"], stated["tables"]["reason"]) == ("no-estimate", "no-table")
+        assert stated["runs"][0]["verdict"]["name"] == "accepted"
+        changed = volcal("history", "compare", runs[0], runs[0], "--config", config)
+        assert "EXX" in changed.stdout
+        refused = volcal("history", "compare", runs[0], "none", "--config", config, exit_code=2)
+        assert "the journal has no run none" in refused.stderr
 
 
 class TestRebuilt:
@@ -172,15 +241,7 @@ class TestPaper:
 
 
 def test_the_command(season: Season, tmp_path: Path) -> None:
-    config = tmp_path / "volcal.toml"
-    listed = Path(str(season.document["machine"]))
-    roles = "\n".join(f'{role} = "twin"' for role in ("machine", "probe", "store", "thermometer", "operator", "mount"))
-    config.write_text(
-        f'machine = "{listed}"\nartefact = "{season.document["artefact"]}"\nstate_directory = "{season.state}"\n'
-        f'[devices.twin]\ndriver = "simulated"\n[devices.twin.options]\n'
-        f'scenario = "{listed.parents[1] / "simulators" / "case-study.toml"}"\n'
-        f"[roles]\n{roles}\n[stations]\nplaces_mm = [[700.0, 1000.0, 750.0]]\n"
-    )
+    config = minimal_config(tmp_path, season)
     out = tmp_path / "out"
     result = volcal("report", "last", "--config", config, "--out", out, "--pdf", "--json")
     assert json.loads(result.stdout)["run_id"] == season.aborted.outcome.run_id

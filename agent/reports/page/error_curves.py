@@ -13,6 +13,8 @@ from twin.machine.legendre import legendre_values, normalise_positions
 from twin.units import MICRO_UNITS
 
 SAMPLES = 81
+SQUARENESSES = ("C0Y", "B0Z", "A0Z")
+"""Squareness errors. Among the 21 errors of ISO 230-1 only these three consist of a single number."""
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from importlib.metadata import version
 
 from fastapi import FastAPI
 
-from agent.service.http import commands, diagnostics, events, pairing, problems, queries
+from agent.service.http import commands, diagnostics, events, history, pairing, problems, queries
 from agent.service.http.app_state import AppState
 from agent.service.http.guard import Guard
 
@@ -37,6 +37,6 @@ def create_app(app_state: AppState, names: Collection[str] = (), extensions: Seq
 
 
 def add_endpoints(app: FastAPI) -> None:
-    routers = (queries.router, events.router, commands.without_token, commands.with_token)
+    routers = (queries.router, history.router, events.router, commands.without_token, commands.with_token)
     for router in (*routers, diagnostics.router, pairing.without_token, pairing.with_token, pairing.of_machine):
         app.include_router(router)

@@ -15,24 +15,23 @@ from fastapi.responses import Response
 from agent.language.sentences import Language
 from agent.planning.job_preparation import prepare_job
 from agent.reports.render_in_subprocess import render_in_subprocess
+from agent.reports.run_comparison import compare_runs
 from agent.runs.kinds.calibrate import calibration_of
 from agent.runs.kinds.restoration import TableRole, stored_table
 from agent.runs.last_latencies import prepare_next_job
 from agent.service.http.app_state import AppStateDependency
 from agent.service.http.problems import DOCUMENTED
-from agent.service.page.result_cache import ResultCache
+from agent.service.page.result_cache import ResultCache, comparison_document
 
 if TYPE_CHECKING:
     from agent.service.page.trends import TrendCache
 from threading import Lock
 
-import numpy as np
-
-from agent.execution.encoding import table_digest
 from agent.files import translated
 from agent.planning.job import Job
 from agent.planning.planning_options import planning_options
 from agent.planning.run_minutes import run_minutes
+from agent.results.table_difference import table_difference
 from agent.results.table_image import table_of
 from drivers.errors import ConfigurationError, InputError
 from drivers.roles import TableImage
@@ -41,11 +40,10 @@ from twin.artefact.position_set import Position
 from twin.compensation.table_file import format_table
 from twin.design.candidates import CandidatePositions, build_candidates
 from twin.design.valuation import Valuation
-from twin.machine.kinematic_chain import AXES
 from twin.machine.volumetric import evaluation_grid
-from twin.units import UM_PER_MM
 
 Document = dict[str, Any]
+RunId = Annotated[str, Query(max_length=40)]
 REPORT_TYPES = {"html": "text/html", "pdf": "application/pdf"}
 
 
@@ -100,7 +98,13 @@ def page_router() -> APIRouter:
     ) -> Document:
         """Return the difference of two stored tables, `other` minus `one`; run and role identify each table."""
         directory = app_state.archive.directory
-        return table_difference(stored_table(directory, one, one_role), stored_table(directory, other, other_role))
+        tables = (stored_table(directory, run, role) for run, role in ((one, one_role), (other, other_role)))
+        return table_difference(*tables).as_json()
+
+    @router.get("/comparison")
+    def comparison(app_state: AppStateDependency, one: RunId, other: RunId) -> Document:
+        """Return the differences of two runs, `other` minus `one`, with curves and maps."""
+        return comparison_document(compare_runs(app_state.archive.directory, one, other))
 
     return router
 
@@ -118,53 +122,6 @@ def table_csv(image: TableImage | None, tool_offset_mm: Array, run_id: str, role
     if image is None:
         raise InputError(f"run {run_id} stored no table as {role}", hint="bank 0 contains no table")
     return format_table(table_of(image, tool_offset_mm))
-
-
-def table_difference(one: TableImage | None, other: TableImage | None) -> Document:
-    """Return a document with the difference `other` minus `one` over all nodes of the grid, in µm.
-
-    For each axis the document contains the largest difference, its location and the rms difference. A table that is
-    None counts as zero. Raise InputError if the tables have different grids.
-    """
-    image = other if one is None else one
-    if image is None:
-        return {"same": True, "nodes": 0, "axes": [], "crc32": [None, None]}
-    if one is not None and other is not None and not _same_grid(one, other):
-        raise InputError(
-            "the two tables have different grids",
-            hint="save both as files and compare the corrections at common nodes",
-        )
-    change = _corrections(other, image) - _corrections(one, image)
-    return {
-        "same": not change.any(),
-        "nodes": int(np.prod(image.shape)),
-        "axes": [_axis(change[..., axis], image, AXES[axis]) for axis in range(len(AXES))],
-        "crc32": [None if table is None else f"{table_digest(table):08x}" for table in (one, other)],
-    }
-
-
-def _axis(change: Array, image: TableImage, axis: str) -> Document:
-    place = np.unravel_index(int(np.abs(change).argmax()), change.shape)
-    at = [o + s * float(n) for o, s, n in zip(image.origin_mm, image.step_mm, place, strict=True)]
-    return {
-        "axis": axis,
-        "largest_um": float(change[place]),
-        "at_mm": at,
-        "rms_um": float(np.sqrt(np.mean(change**2))),
-    }
-
-
-def _corrections(table: TableImage | None, like: TableImage) -> Array:
-    """Return the corrections in µm as an array of shape (nx, ny, nz, 3). If `table` is None, they are zeros on the grid
-    of `like`.
-    """
-    if table is None:
-        return np.zeros((*like.shape, 3))
-    return UM_PER_MM * table.resolution_mm * table.counts.astype(np.float64)
-
-
-def _same_grid(one: TableImage, other: TableImage) -> bool:
-    return (one.shape, one.origin_mm, one.step_mm) == (other.shape, other.origin_mm, other.step_mm)
 
 
 class SetValueCache:

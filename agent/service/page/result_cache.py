@@ -12,15 +12,15 @@ import numpy as np
 
 from agent.execution.run_record import read_record
 from agent.reports.page import IdentificationData, ReportData
-from agent.reports.page.error_curves import ErrorCurve, cross_effect_curves, geometric_error_curves
+from agent.reports.page.error_curves import SQUARENESSES, ErrorCurve, cross_effect_curves, geometric_error_curves
 from agent.reports.page.workspace_maps import PlaneMap, workspace_maps
+from agent.reports.run_comparison import ErrorComparison, PlaneDifference, RunComparison, table_planes
 from agent.reports.run_report import report_of
+from agent.results.table_difference import TableDifference
 from drivers.errors import InputError
 from twin.arrays import Array
 
 Document = dict[str, Any]
-SQUARENESSES = ("C0Y", "B0Z", "A0Z")
-"""Squareness errors. Among the 21 errors of ISO 230-1 only these three consist of a single number."""
 MAX_CACHED = 16
 
 
@@ -63,6 +63,32 @@ class ResultCache:
                 while len(self._cached) > MAX_CACHED:
                     self._cached.pop(next(iter(self._cached)))
             return self._cached[key]
+
+
+def comparison_document(compared: RunComparison) -> Document:
+    """Return the comparison of two runs with the curves and the maps that the page draws."""
+    document, identified = compared.as_json(), compared.identified
+    if isinstance(identified, ErrorComparison):
+        found = document["identified"]
+        for row, error in zip(found["errors"], identified.errors, strict=True):
+            row |= {
+                "position_mm": _rounded(error.one.position_mm, 1),
+                "difference": _rounded(error.change, 4),
+                "sigma": _rounded(error.sigma, 4),
+            }
+        found["field"]["planes"] = [_difference_plane(plane) for plane in identified.field.planes]
+    if isinstance(compared.tables, TableDifference):
+        document["tables"]["planes"] = [_difference_plane(plane) for plane in table_planes(compared.tables)]
+    return document
+
+
+def _difference_plane(plane: PlaneDifference) -> Document:
+    return {
+        "z_mm": plane.z_mm,
+        "x_mm": [float(plane.x_mm[0]), float(plane.x_mm[-1])],
+        "y_mm": [float(plane.y_mm[0]), float(plane.y_mm[-1])],
+        "length_um": [_rounded(row, 3) for row in plane.length_um.T],
+    }
 
 
 def _curves(_: ReportData, identification: IdentificationData) -> Document:

@@ -3,13 +3,15 @@ or the parameters of one geometric error."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from threading import Lock
 from typing import Any
 
+from agent.execution.states import RunState
 from agent.history.cached_trends import CachedTrends, MachineTrends
 from agent.history.overview import VOLUMETRIC, alarms_of
 from agent.history.schema import StoredRun
-from agent.history.series import Series
+from agent.history.series import CHANGED_MACHINE, Series, nights_of
 from agent.history.trends import Trend
 from agent.settings.schema import Settings
 
@@ -46,8 +48,25 @@ def _document(current: MachineTrends, of: str | None) -> Document:
     return {
         "trends": [_trend(trend) for trend in trends],
         "alarms": [{"series": a.series, "kind": a.kind.value, "text": a.text} for a in alarms_of(trends)],
+        "marks": _marks(current.runs),
         "runs": {run.run_id: {"started": _utc(run), "kind": run.kind, "state": run.state} for run in current.runs},
     }
+
+
+def _marks(runs: Sequence[StoredRun]) -> list[Document]:
+    """Return the runs that changed the compensation or found the machine changed, with their nights."""
+    found = zip(nights_of(runs).tolist(), runs, (_mark(run) for run in runs), strict=True)
+    return [{"night": night, "kind": kind, "started": _utc(run)} for night, run, kind in found if kind is not None]
+
+
+def _mark(run: StoredRun) -> str | None:
+    if run.night in CHANGED_MACHINE:
+        return "machine"
+    if run.accepted is not None:
+        return "accepted" if run.accepted else "rejected"
+    if run.state == RunState.WRITTEN.value:
+        return "written"
+    return "restored" if run.kind == "restore" and run.state == RunState.COMPLETE.value else None
 
 
 def _is_selected(series: Series, of: str | None) -> bool:

@@ -20,7 +20,7 @@ from agent.results.run_verdict import UNFINISHED, RunVerdict, run_figures, verdi
 from agent.runs.reconcile import unproved_table
 from agent.runs.reference_state import ACTIVATING_DECISIONS, reference_for
 from agent.runs.unfinished_run import unfinished_run
-from agent.service.alarms import CODES, AlarmCode, code_of_name
+from agent.service.alarms import CODES, AlarmCode, code_of_name, recorded_alarm
 from agent.service.allowed_requests import STICKY
 from agent.service.control import Alarm
 from agent.service.state.status_board import IdleStatus
@@ -165,13 +165,10 @@ def _recorded_alarm(reader: JournalReader, run: int) -> Alarm | None:
     rows = reader.events(run, ("alarm",), after=since)
     if not rows:
         return None
-    record = rows[-1].record
-    try:
-        where = {str(place): str(found) for place, found in record["where"].items()}
-        return Alarm(int(record["code"]), str(record["text"]), str(record["hint"]), where)
-    except (AttributeError, KeyError, TypeError, ValueError):  # another version, or a damaged record
+    alarm = recorded_alarm(rows[-1].record)
+    if alarm is None:
         log.warning("the recorded alarm cannot be read", number=rows[-1].number)
-        return None
+    return alarm
 
 
 def _journaled_code(reader: JournalReader, run: RunRow) -> AlarmCode:

@@ -321,6 +321,7 @@ class TestTrends:
         series = Series(
             name="ve", title="VE", unit="µm", run_ids=tuple("abcdefghi"), nights=np.arange(9.0), values=values,
             sigmas=np.full(9, np.nan), stated=False, tolerance=None, two_sided=two_sided, steps=(),
+            started_s=86_400.0 * np.arange(9.0),
         )  # fmt: skip
         alarms = trend_of(series, warn_nights=14.0).alarms
         assert [alarm.kind for alarm in alarms] == [AlarmKind.CONTROL] * told

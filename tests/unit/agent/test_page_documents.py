@@ -15,7 +15,8 @@ from service_house import settings_document
 from agent.planning.design.set_valuation import valuation_of
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
-from agent.service.page.endpoints import set_value_document, table_csv, table_difference
+from agent.results.table_difference import table_difference
+from agent.service.page.endpoints import set_value_document, table_csv
 from agent.service.page.result_cache import ResultCache
 from agent.service.page.trends import TrendCache
 from agent.settings.schema import Settings
@@ -34,7 +35,7 @@ def image(seed: int, resolution_mm: float = 1e-4) -> TableImage:
 
 def test_the_difference_of_two_tables_is_found_node_by_node() -> None:
     one, other = image(1), image(2, resolution_mm=2e-4)
-    found = table_difference(one, other)
+    found = table_difference(one, other).as_json()
     assert (found["same"], found["nodes"]) == (False, 24)
     for axis, row in enumerate(found["axes"]):
         changes = {}
@@ -49,11 +50,13 @@ def test_the_difference_of_two_tables_is_found_node_by_node() -> None:
 
 def test_no_compensation_is_a_table_of_zeros_and_nothing_differs_from_itself() -> None:
     table = image(3)
-    found = table_difference(None, table)
+    found = table_difference(None, table).as_json()
     assert found["axes"][0]["largest_um"] == pytest.approx(0.1 * max(table.counts[..., 0].ravel().tolist(), key=abs))
-    assert table_difference(table, None)["axes"][1]["largest_um"] == pytest.approx(-found["axes"][1]["largest_um"])
-    assert table_difference(table, image(3))["same"]
-    assert table_difference(None, None)["same"]
+    assert table_difference(table, None).as_json()["axes"][1]["largest_um"] == pytest.approx(
+        -found["axes"][1]["largest_um"]
+    )
+    assert table_difference(table, image(3)).as_json()["same"]
+    assert table_difference(None, None).as_json()["same"]
     assert found["crc32"][0] is None
 
 
@@ -97,7 +100,7 @@ def test_what_a_position_is_worth_is_what_the_set_without_it_leaves(job: Job) ->
 
 def test_before_the_first_run_there_are_no_trends_and_no_results(tmp_path: Path) -> None:
     settings = Settings.model_validate(settings_document(tmp_path))
-    assert TrendCache().document(settings, None) == {"trends": [], "alarms": [], "runs": {}}
+    assert TrendCache().document(settings, None) == {"trends": [], "alarms": [], "marks": [], "runs": {}}
     with pytest.raises(InputError, match="no journal"):
         ResultCache().curves(tmp_path, "20260101T000000Z-0000")
 
@@ -118,6 +121,9 @@ def test_trends_have_the_line_and_the_band_that_are_drawn(tmp_path: Path) -> Non
     whole = trends.document(settings, None)
     assert {"ve_bare", "EXX"} <= {trend["name"] for trend in whole["trends"]}
     assert len(whole["runs"]) == 10
+    assert slope["started"][:2] == ["2026-11-01T02:00:00Z", "2026-11-02T02:00:00Z"]
+    assert [(mark["night"], mark["kind"]) for mark in whole["marks"]] == [(night, "accepted") for night in range(10)]
+    assert whole["marks"][3]["started"] == "2026-11-04T02:00:00Z"
     assert whole["runs"][run_id(3)]["started"].startswith("2026-11-04T02:00:00")
     journaled(tmp_path, 10, 8.8, machine="mine")
     assert len(trends.document(settings, "EXX")["trends"][0]["values"]) == 11

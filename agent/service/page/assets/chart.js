@@ -3,22 +3,22 @@ import { draw } from "./dom.js";
 import { number } from "./language.js";
 
 const ROOM = { left: 52, right: 10, top: 24, bottom: 34 };
-const TICKS_X = 5, TICKS_Y = 4, FONT = 12, MOST_DIGITS = 6;
+const TICKS_X = 5, TICKS_Y = 4, FONT = 12, MOST_DIGITS = 6, SHORT = 6;
 
-/* `x`, `y`: ranges; `draws`: functions that take the scales and return elements. */
-export function chart({ name, title, xLabel, yLabel = "", x, y, width = 520, height = 220, draws = [], room = ROOM, ticksX = TICKS_X }) {
+/* `x`, `y`: ranges; `nameX`: text of a value on the axis; `draws`: functions that take the scales and return elements. */
+export function chart({ name, title, xLabel, yLabel = "", x, y, width = 520, height = 220, draws = [], room = ROOM, ticksX = TICKS_X, nameX = (value) => figure(value, x) }) {
   const inner = { width: width - room.left - room.right, height: height - room.top - room.bottom };
   const scales = {
     x: (value) => room.left + (inner.width * (value - x[0])) / (x[1] - x[0] || 1),
     y: (value) => room.top + inner.height * (1 - (value - y[0]) / (y[1] - y[0] || 1)),
   };
   scales.inside = (value) => Math.min(Math.max(value, y[0]), y[1]);
-  const svg = draw("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": name ?? title, class: "chart" });
+  const svg = draw("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": name ?? title, class: "chart", "data-left": room.left, "data-right": width - room.right });
   for (const value of rounded(y, TICKS_Y)) {
     svg.append(draw("line", { x1: room.left, x2: width - room.right, y1: scales.y(value), y2: scales.y(value), class: "grid" }));
     svg.append(label(room.left - 5, scales.y(value) + 4, "end", figure(value, y)));
   }
-  for (const value of rounded(x, ticksX)) svg.append(label(scales.x(value), height - room.bottom + 16, anchorAt(value, x), figure(value, x)));
+  for (const value of rounded(x, ticksX)) svg.append(label(scales.x(value), height - room.bottom + 16, anchorAt(value, x, nameX(value).length), nameX(value)));
   if (y[0] < 0 && y[1] > 0) svg.append(draw("line", { x1: room.left, x2: width - room.right, y1: scales.y(0), y2: scales.y(0), class: "zero" }));
   for (const one of draws) svg.append(...one(scales));
   svg.append(label(room.left, 15, "start", title, "title"), label(width - room.right, height - 3, "end", xLabel), label(width - room.right, 15, "end", yLabel));
@@ -39,9 +39,10 @@ export function rounded([low, high], count) {
 }
 
 /* Aligns the numbers at the ends so that they stay inside the chart. */
-function anchorAt(value, [low, high]) {
+function anchorAt(value, [low, high], letters) {
   const share = (value - low) / (high - low || 1);
-  return share < 0.03 ? "start" : share > 0.97 ? "end" : "middle";
+  const edge = letters > SHORT ? 0.12 : 0.03;
+  return share < edge ? "start" : share > 1 - edge ? "end" : "middle";
 }
 
 function figure(value, [low, high]) {
@@ -57,7 +58,7 @@ export function reach(values, { zero = false, margin = 0.08 } = {}) {
   return [zero && low === 0 ? 0 : low - more, high + more];
 }
 
-const pathOf = (points) => points.map(([x, y], i) => `${i ? "L" : "M"}${x.toFixed(2)} ${y.toFixed(2)}`).join("");
+export const pathOf = (points) => points.map(([x, y], i) => `${i ? "L" : "M"}${x.toFixed(2)} ${y.toFixed(2)}`).join("");
 
 export const line = (xs, ys, kind) => ({ x, y }) => [draw("path", { d: pathOf(xs.map((value, i) => [x(value), y(ys[i])])), class: `line ${kind}` })];
 

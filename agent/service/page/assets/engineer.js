@@ -4,11 +4,14 @@ import { byId, make } from "./dom.js";
 import { onLanguage, say } from "./language.js";
 import { runName } from "./parts.js";
 import { read, Refused } from "./requests.js";
+import * as alarms from "./section-alarms.js";
+import * as compared from "./section-compare.js";
 import * as curves from "./section-curves.js";
 import * as design from "./section-design.js";
 import * as events from "./section-events.js";
 import * as maps from "./section-map.js";
 import * as parameters from "./section-parameters.js";
+import * as plant from "./section-plant.js";
 import * as reports from "./section-reports.js";
 import * as tables from "./section-tables.js";
 import * as temperatures from "./section-temperatures.js";
@@ -16,10 +19,10 @@ import * as trend from "./section-trend.js";
 import { told } from "./sentences.js";
 import { on, seen } from "./store.js";
 
-const SECTIONS = { map: maps, curves, trend, parameters, design, tables, events, temperatures, reports };
+const SECTIONS = { reports, map: maps, curves, compare: compared, trend, parameters, design, tables, events, alarms, temperatures, plant };
 const RUNS = 50, TRIED = 5;
 
-const now = { section: "map", run: null, runs: [], asked: 0, shown: false };
+const now = { section: "map", run: null, older: null, runs: [], asked: 0, shown: false };
 
 export function openEngineer() {
   const view = byId("view-engineer");
@@ -55,8 +58,21 @@ async function refresh() {
     if (!(error instanceof Refused)) throw error;
     now.runs = [];
   }
+  keepOlder();
   if (!now.runs.some(({ run_id }) => run_id === now.run)) now.run = null;
   await show();
+}
+
+/* A run that was opened from the list of all runs stays among the latest ones that can be chosen. */
+function keepOlder() {
+  if (now.older && !now.runs.some(({ run_id }) => run_id === now.older.run_id)) now.runs = [...now.runs, now.older];
+}
+
+/* Opens a section, with the run if one is given. */
+function open(section, run = null) {
+  now.older = run ?? now.older;
+  keepOlder();
+  return choose(section, run?.run_id ?? now.run);
 }
 
 function choose(section, run) {
@@ -74,12 +90,12 @@ function candidates({ needsEstimate }) {
 
 /* Content of the section for the first run that has the data it needs, and that run. */
 async function partsOf(section) {
-  if (!section.ofRun) return { run: null, parts: await section.parts({ runs: now.runs, again: show }) };
+  if (!section.ofRun) return { run: null, parts: await section.parts({ runs: now.runs, again: show, open }) };
   const runs = candidates(section);
   if (!runs.length) return { run: null, parts: [make("p", { className: "remark" }, say("section.no_run"))] };
   for (const run of runs) {
     try {
-      return { run, parts: await section.parts({ run, runs: now.runs, again: show }) };
+      return { run, parts: await section.parts({ run, runs: now.runs, again: show, open }) };
     } catch (error) {
       if (!(error instanceof Refused) || run === runs.at(-1)) throw error;
     }

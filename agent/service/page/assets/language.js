@@ -43,11 +43,18 @@ export function number(value, digits = 1) {
 
 export function instant(utc) {
   if (!utc) return "–";
-  const at = new Date(utc), two = (value) => String(value).padStart(2, "0");
-  return say("date.instant", { year: at.getFullYear(), month: two(at.getMonth() + 1), day: two(at.getDate()), time: timeOfDay(utc) });
+  return `${day(utc)} ${timeOfDay(utc)}`;
 }
 
-export const timeOfDay = (utc) => new Intl.DateTimeFormat(language, { timeStyle: "medium", hourCycle: "h23" }).format(new Date(utc));
+/* Date and time without seconds. */
+export const minute = (utc) => (utc ? `${day(utc)} ${timeOfDay(utc, "short")}` : "–");
+
+export function day(utc) {
+  const at = new Date(utc), two = (value) => String(value).padStart(2, "0");
+  return say("date.day", { year: at.getFullYear(), month: two(at.getMonth() + 1), day: two(at.getDate()) });
+}
+
+export const timeOfDay = (utc, timeStyle = "medium") => new Intl.DateTimeFormat(language, { timeStyle, hourCycle: "h23" }).format(new Date(utc));
 
 /* Names the button that leads to the other language, in that language. */
 export function nameLanguage(other) {

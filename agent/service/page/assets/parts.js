@@ -24,6 +24,20 @@ export function choice(name, options, value, chosen) {
 
 export const wordOr = (prefix, value) => (known(`${prefix}.${value}`) ? say(`${prefix}.${value}`) : String(value));
 
+/* Control with its name above it. */
+export const field = (key, control) => make("label", {}, say(key), control);
+
+/* Pages of a list of `total` rows; `go` is called with the offset of another page. */
+export function pager(offset, size, total, go) {
+  const step = (to, key, possible) => make("button", { id: `page-${key}`, disabled: !possible, ariaLabel: say(`pager.${key}`), title: say(`pager.${key}`), onclick: () => go(to) }, SIGNS[key]);
+  const last = Math.max(Math.ceil(total / size) - 1, 0) * size;
+  if (!total || (!offset && total <= size)) return make("div", { className: "pager" });
+  return make("div", { className: "pager" }, step(0, "first", offset > 0), step(Math.max(offset - size, 0), "former", offset > 0),
+    make("span", {}, say("pager.place", { from: number(offset + 1, 0), to: number(Math.min(offset + size, total), 0), total: number(total, 0) })),
+    step(offset + size, "next", offset + size < total), step(last, "last", offset < last));
+}
+const SIGNS = { first: "«", former: "‹", next: "›", last: "»" };
+
 /* Status of a table as a coloured mark: staged, active and accepted are always distinguishable. */
 export const mark = (kind) => make("span", { className: `mark ${kind}` }, say(`table.${kind}`));
 
@@ -32,3 +46,10 @@ export const runName = ({ kind, started, verdict }) => `${instant(started)} · $
 /* Figures of a run, the same in the list of runs and in the card of its end. */
 export const micrometres = (value) => (value === null || value === undefined ? "–" : say("unit.um", { value: number(value, 2) }));
 export const beforeAfter = (before, after) => (before === null ? "–" : after === null ? micrometres(before) : `${number(before, 2)} → ${micrometres(after)}`);
+
+/* Difference of two compensation tables, axis by axis. */
+export function tableDifference({ same, axes }) {
+  if (same) return remark("tables.same");
+  return table(["tables.axis", "tables.largest", "tables.at", "tables.rms"].map((key) => say(key)), axes.map(({ axis, largest_um, at_mm, rms_um }) =>
+    [axis, say("unit.um", { value: number(largest_um, 2) }), at_mm.map((value) => number(value, 0)).join(" / "), say("unit.um", { value: number(rms_um, 2) })]), "compact");
+}

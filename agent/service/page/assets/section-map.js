@@ -1,9 +1,8 @@
 /* Section with the error map: deviation of the uncompensated machine on three planes, or its uncertainty. */
-import { make } from "./dom.js";
 import { number, say } from "./language.js";
 import { choice, facts, heading, remark } from "./parts.js";
+import { planeMaps } from "./plane-map.js";
 import { read } from "./requests.js";
-import { colourOf, STOPS } from "./viridis.js";
 
 export const ofRun = true, needsEstimate = true;
 let shown = "deviation";
@@ -11,7 +10,6 @@ let shown = "deviation";
 export async function parts({ run, again }) {
   const found = await read(`/api/page/runs/${encodeURIComponent(run)}/map`);
   const planes = found[shown];
-  const top = Math.max(...planes.flatMap(({ length_um }) => length_um.flat())) || 1;
   const chosen = (what) => {
     shown = what;
     again({ quiet: true });
@@ -20,8 +18,7 @@ export async function parts({ run, again }) {
     heading("map.title"),
     choice("map.choose", [["deviation", "map.deviation"], ["uncertainty", "map.uncertainty"]], shown, chosen),
     facts([["map.before", um(found.before)], ["map.after", um(found.after)]]),
-    make("div", { className: "planes" }, ...planes.map((plane) => figure(plane, top))),
-    scale(top),
+    ...planeMaps(planes),
     remark(shown === "deviation" ? "map.deviation_is" : "map.uncertainty_is"),
   ];
 }
@@ -29,29 +26,3 @@ export async function parts({ run, again }) {
 const um = ({ value_um, standard_uncertainty_um, limits_um }) =>
   limits_um ? say("unit.um_limits", { value: number(value_um, 1), lower: number(limits_um[0], 1), upper: number(limits_um[1], 1) }) :
   say(standard_uncertainty_um === null ? "unit.um" : "unit.um_sigma", { value: number(value_um, 1), sigma: number(standard_uncertainty_um, 1) });
-
-function figure(plane, top) {
-  const { length_um: rows, x_mm: x, y_mm: y, z_mm: z } = plane;
-  const canvas = make("canvas", { width: rows[0].length, height: rows.length, role: "img" });
-  canvas.setAttribute("aria-label", say("map.plane_name", { z: number(z, 0), largest: number(Math.max(...rows.flat()), 1) }));
-  const context = canvas.getContext("2d"), image = context.createImageData(rows[0].length, rows.length);
-  rows.forEach((row, j) => row.forEach((value, i) => {
-    const at = 4 * ((rows.length - 1 - j) * row.length + i);
-    image.data.set([...colourOf(value / top), 255], at);
-  }));
-  context.putImageData(image, 0, 0);
-  canvas.style.aspectRatio = `${x[1] - x[0]} / ${y[1] - y[0]}`;
-  return make("figure", {}, make("figcaption", {}, say("map.plane", { z: number(z, 0) })), canvas,
-    make("div", { className: "ends" }, make("span", {}, say("map.x", { from: number(x[0], 0), to: number(x[1], 0) })),
-      make("span", {}, say("map.y", { from: number(y[0], 0), to: number(y[1], 0) }))));
-}
-
-function scale(top) {
-  const bar = make("canvas", { width: 10 * STOPS, height: 1, ariaHidden: "true" });
-  const context = bar.getContext("2d");
-  for (let i = 0; i < bar.width; i++) {
-    context.fillStyle = `rgb(${colourOf(i / (bar.width - 1)).join(" ")})`;
-    context.fillRect(i, 0, 1, 1);
-  }
-  return make("div", { className: "scale" }, make("span", {}, number(0, 0)), bar, make("span", {}, say("unit.um", { value: number(top, 1) })));
-}

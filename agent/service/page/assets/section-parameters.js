@@ -1,15 +1,15 @@
 /* Section with the drift of the geometric errors: largest value of each along its axis, and the parameters of the chosen one. */
 import { make } from "./dom.js";
-import { known, number, say } from "./language.js";
+import { day, known, number, say } from "./language.js";
 import { heading, remark, table } from "./parts.js";
 import { read } from "./requests.js";
-import { keyOfLines, rateOf, trendFigure } from "./trend-figure.js";
+import { dateOf, keyOfLines, rateOf, spans, trendFigure } from "./trend-figure.js";
 
 export const ofRun = false;
 let chosen = null;
 
 export async function parts({ again }) {
-  const { trends } = await read("/api/page/trends");
+  const { trends, marks } = await read("/api/page/trends");
   const errors = trends.filter(({ volumetric }) => !volumetric);
   if (!errors.length) return [heading("parameters.title"), remark("trend.none")];
   if (!errors.some(({ name }) => name === chosen)) chosen = errors[0].name;
@@ -17,11 +17,12 @@ export async function parts({ again }) {
     chosen = name;
     again({ quiet: true });
   };
+  const zoomed = () => again({ quiet: true });
   const single = (await read(`/api/page/trends?of=${encodeURIComponent(chosen)}`)).trends;
   const own = errors.find(({ name }) => name === chosen);
   return [heading("parameters.title"), remark("parameters.choose"),
     make("div", { className: "split" }, table(["parameters.error", "parameters.now", "parameters.drift", "parameters.steps"].map((key) => say(key)), errors.map((trend) => row(trend, choose)), "compact"),
-      make("div", {}, make("h3", {}, say("parameters.of", { name: chosen })), keyOfLines(), trendFigure(own, chosen), ...single.map((trend) => trendFigure(trend, titleOf(trend.name)))))];
+      make("div", {}, make("h3", {}, say("parameters.of", { name: chosen })), spans(zoomed), keyOfLines(marks), trendFigure(own, chosen, marks, zoomed), ...single.map((trend) => trendFigure(trend, titleOf(trend.name), marks, zoomed))))];
 }
 
 function row(trend, choose) {
@@ -30,7 +31,7 @@ function row(trend, choose) {
     make("button", { ariaPressed: String(name === chosen), onclick: () => choose(name) }, name),
     say("unit.value", { value: number(values.at(-1), 2), unit }),
     make("span", { className: significant ? "strong" : "" }, rateOf(trend)),
-    steps.map(({ night, size }) => say("parameters.step", { night: number(night, 0), size: number(size, 1) })).join(", "),
+    steps.map(({ night, size }) => say("parameters.step", { date: day(dateOf(trend, night)), size: number(size, 1) })).join(", "),
   ];
 }
 

@@ -1,27 +1,97 @@
-/* Section with the reports of all runs as files, and the diagnostics archive for support. */
+/* Section with all runs of the machine: selected by kind, verdict, date and text, with their reports; two of them are
+   compared. Below, the diagnostics archive for support. */
 import { permits } from "./access.js";
 import { askAccess } from "./access-dialog.js";
 import { make } from "./dom.js";
-import { instant, languageNow, number, say } from "./language.js";
-import { beforeAfter, heading, micrometres, remark, table, wordOr } from "./parts.js";
-import { fetchFile, isTokenRefused, token } from "./requests.js";
+import { languageNow, minute, number, say } from "./language.js";
 import { showProblem } from "./notices.js";
-import { verdictMark } from "./wording.js";
+import { field, heading, pager, remark, table, wordOr } from "./parts.js";
+import { fetchFile, read, Refused, token } from "./requests.js";
+import { compare } from "./section-compare.js";
+import { told } from "./sentences.js";
+import { reasonText, verdictMark } from "./wording.js";
 
 export const ofRun = false;
+const PAGE = 25, COMPARED = 2;
+const wanted = { kind: "", verdict: "", since: "", until: "", text: "" };
+let offset = 0, chosen = [];
 
-export async function parts({ runs }) {
-  const list = runs.length ? table(["reports.run", "reports.kind", "reports.state", "fact.ve_before", "fact.ve_now", "fact.held_out", "fact.balls", "fact.minutes", "reports.report"].map((key) => say(key)), runs.map(row)) : remark("section.no_run");
-  const archive = permits("diagnostics") ? [make("div", { className: "acts" }, make("button", { id: "diagnostics", onclick: diagnostics }, say("reports.diagnostics"))), remark("reports.diagnostics_is")] : [];
-  return [heading("reports.title"), ...archive, list];
+export async function parts({ runs, again, open }) {
+  const found = await listed(runs);
+  return [heading("reports.title"), filters(found, again), ...(found.problem ? [make("p", { className: "remark" }, found.problem)] : []),
+    comparison(open), rows(found, again, open), pager(offset, PAGE, found.total, (to) => go(to, again)), ...diagnosing()];
 }
 
-function row({ run_id, kind, started, verdict, reason, balls, ended, ve_um, vce_um, held_out_before_um, held_out_after_um, machine_minutes }) {
+/* The selected runs from the history; if its database cannot be read, the latest runs of the journal. */
+async function listed(latest) {
+  const query = new URLSearchParams({ limit: PAGE, offset });
+  for (const key of ["kind", "verdict", "text"]) if (wanted[key]) query.set(key, wanted[key]);
+  if (wanted.since) query.set("since", dayAt(wanted.since, 0));
+  if (wanted.until) query.set("until", dayAt(wanted.until, 1));
+  try {
+    return await read(`/api/history/runs?${query}`);
+  } catch (error) {
+    if (!(error instanceof Refused) || error.problem.status !== 503) throw error;
+    const shown = latest.map((run) => ({ ...run, number: null, report: run.ended !== null }));
+    return { runs: shown, total: shown.length, kinds: {}, verdicts: {}, problem: say("reports.no_history", { detail: told(error.problem.detail) }) };
+  }
+}
+
+/* Beginning of a local day, or of the one `later`, in UTC. */
+function dayAt(day, later) {
+  const [year, month, date] = day.split("-").map(Number);
+  return new Date(year, month - 1, date + later).toISOString();
+}
+
+function go(to, again) {
+  offset = to;
+  return again({ quiet: true });
+}
+
+function filters({ kinds, verdicts }, again) {
+  const changed = (key) => (event) => {
+    wanted[key] = event.target.value.trim();
+    return go(0, again).then(() => document.getElementById(event.target.id)?.focus());
+  };
+  const options = (key, counts, word) => field(`reports.${key}`, make("select", { id: `filter-${key}`, onchange: changed(key) },
+    make("option", { value: "" }, say("reports.all")), ...Object.entries(counts).map(([name, count]) =>
+      make("option", { value: name, selected: name === wanted[key] }, say("reports.counted", { word: word(name), count: number(count, 0) })))));
+  const input = (key, type, more = {}) => field(`reports.${key}`, make("input", { id: `filter-${key}`, type, value: wanted[key], onchange: changed(key), ...more }));
+  return make("div", { className: "choosers" }, options("kind", kinds, (name) => wordOr("kind", name)), options("verdict", verdicts, (name) => wordOr("verdict", name)),
+    input("since", "date"), input("until", "date"), input("text", "search", { maxLength: 100, title: say("reports.text_is") }));
+}
+
+function comparison(open) {
+  return make("div", { className: "acts" }, make("button", { id: "compare", disabled: chosen.length < COMPARED, onclick: () => {
+    const [one, other] = [...chosen].sort((a, b) => a.started.localeCompare(b.started));
+    compare(one, other);
+    return open("compare");
+  } }, say("reports.compare")), make("span", { className: "remark" }, say("reports.compare_is", { count: number(chosen.length, 0) })));
+}
+
+function rows({ runs }, again, open) {
+  if (!runs.length) return remark("reports.none");
+  const heads = ["reports.compare_head", "reports.number", "reports.run", "reports.kind", "reports.state", "reports.ve", "reports.held_out", "fact.minutes", "reports.report"];
+  return table(heads.map((key) => say(key)), runs.map((run) => row(run, again, open)), "runs");
+}
+
+const arrow = (before, after) => (after === null ? number(before, 2) : `${number(before, 2)} → ${number(after, 2)}`);
+
+function row(run, again, open) {
+  const { run_id, number: count, kind, started, verdict, reason, report, ve_um, vce_um, held_out_before_um, held_out_after_um, machine_minutes } = run;
   const link = (form) => make("a", { className: "button", href: `/api/page/runs/${encodeURIComponent(run_id)}/report.${form}?language=${languageNow()}`, download: "" }, say(`reports.${form}`));
-  return [instant(started), wordOr("kind", kind), make("span", { title: reason ?? "" }, verdictMark(verdict)), micrometres(ve_um), micrometres(vce_um),
-    beforeAfter(held_out_before_um, held_out_after_um), number(balls, 0), number(machine_minutes, 1),
-    make("span", { className: "acts" }, ...(ended ? [link("html"), link("pdf")] : [say("reports.going_on")]))];
+  const name = say("reports.choose", { run: `${minute(started)} ${wordOr("kind", kind)}` });
+  const box = make("input", { type: "checkbox", ariaLabel: name, checked: chosen.some((one) => one.run_id === run_id), disabled: !report, onchange: () => {
+    chosen = [...chosen.filter((one) => one.run_id !== run_id), ...(box.checked ? [run] : [])].slice(-COMPARED);
+    return again({ quiet: true });
+  } });
+  const when = report ? make("button", { className: "plain", title: say("reports.show_is"), onclick: () => open("map", run) }, minute(started)) : minute(started);
+  return [make("label", { className: "tick" }, box), number(count, 0), when, wordOr("kind", kind), make("span", { title: reason ? reasonText(reason) : "" }, verdictMark(verdict)),
+    arrow(ve_um, vce_um), arrow(held_out_before_um, held_out_after_um), number(machine_minutes, 1),
+    make("span", { className: "acts" }, ...(report ? [link("html"), link("pdf")] : [verdict.name === "running" ? say("reports.going_on") : null]))];
 }
+
+const diagnosing = () => (permits("diagnostics") ? [make("div", { className: "acts" }, make("button", { id: "diagnostics", onclick: diagnostics }, say("reports.diagnostics"))), remark("reports.diagnostics_is")] : []);
 
 /* The archive contains everything known about the machine, so it requires a token: a request instead of a link. */
 async function diagnostics() {

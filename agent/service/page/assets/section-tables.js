@@ -4,7 +4,7 @@ import { request } from "./controls.js";
 import { askConfirmation } from "./dialogs.js";
 import { make } from "./dom.js";
 import { instant, number, say } from "./language.js";
-import { facts, heading, mark, remark, table } from "./parts.js";
+import { facts, heading, mark, remark, table, tableDifference } from "./parts.js";
 import { read, Refused } from "./requests.js";
 import { told } from "./sentences.js";
 import { seen } from "./store.js";
@@ -65,15 +65,9 @@ async function comparison(rows, again) {
   const query = Object.entries(compared).map(([side, id]) => [side, ...id.split(" ")]).map(([side, run, role]) => `${side}=${encodeURIComponent(run)}&${side}_role=${role}`).join("&");
   const choosers = make("div", { className: "choosers" }, chooser("one"), chooser("other"));
   try {
-    return make("div", {}, choosers, differing(await read(`/api/page/tables/difference?${query}`)));
+    return make("div", {}, choosers, tableDifference(await read(`/api/page/tables/difference?${query}`)));
   } catch (error) {
     if (!(error instanceof Refused)) throw error;
     return make("div", {}, choosers, make("p", { className: "remark" }, told(error.problem.detail)));
   }
-}
-
-function differing({ same, axes }) {
-  if (same) return remark("tables.same");
-  return table(["tables.axis", "tables.largest", "tables.at", "tables.rms"].map((key) => say(key)), axes.map(({ axis, largest_um, at_mm, rms_um }) =>
-    [axis, say("unit.um", { value: number(largest_um, 2) }), at_mm.map((value) => number(value, 0)).join(" / "), say("unit.um", { value: number(rms_um, 2) })]), "compact");
 }

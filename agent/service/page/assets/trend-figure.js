@@ -1,32 +1,103 @@
-/* Chart of one series over the nights: values with uncertainty, fit with band, steps, control limits, tolerance. */
-import { band, chart, fall, level, line, points, reach } from "./chart.js";
-import { make } from "./dom.js";
-import { number, say } from "./language.js";
+/* Chart of one series over the nights: values with uncertainty, fit with band, steps, control limits, tolerance, and
+   marks of the runs that changed the compensation or found the machine changed. A span of time is chosen by a button or
+   by dragging over a chart. */
+import { band, chart, fall, level, line, pathOf, points, reach } from "./chart.js";
+import { draw, make } from "./dom.js";
+import { day, minute, number, say } from "./language.js";
+import { choice } from "./parts.js";
 import { told } from "./sentences.js";
 
-const COVERAGE = 2, SHORTEST_NIGHTS = 1;
+const COVERAGE = 2, SHORTEST_NIGHTS = 1, MS_PER_DAY = 86_400_000, DRAGGED_PX = 12, FEW_NIGHTS = 3;
+const SPANS = ["all", "365", "90", "30"];
+const view = { span: "all", range: null };
 
 /* A rate per night from less than one night is meaningless. */
 const longEnough = ({ nights }) => nights.at(-1) - nights[0] >= SHORTEST_NIGHTS;
 
-export function trendFigure(trend, title) {
-  const { nights, values, unit, fitted, fitted_half_width: half, control_limits: limits, tolerance, steps } = trend;
-  const doubts = trend.standard_uncertainties?.map((sigma) => COVERAGE * sigma) ?? null;
+/* `marks`: runs to be marked; `zoomed` is called after another span was chosen by dragging. */
+export function trendFigure(trend, title, marks = [], zoomed = () => {}) {
+  const shown = windowed(trend), { nights, values, unit, fitted, fitted_half_width: half, control_limits: limits, tolerance, steps } = shown;
+  if (!nights.length) return make("figure", { className: "trend" }, make("figcaption", {}, title, ": ", say("trend.nothing")));
+  const doubts = shown.standard_uncertainties?.map((sigma) => COVERAGE * sigma) ?? null;
   const all = [...values.flatMap((value, i) => [value - (doubts?.[i] ?? 0), value + (doubts?.[i] ?? 0)]), ...(tolerance === null ? [] : [tolerance, ...(trend.two_sided ? [-tolerance] : [])]), ...(limits ? [limits[0], limits[2]] : [])];
-  const x = reach(nights, { margin: 0.06 }), y = reach(all, { zero: !trend.two_sided });
+  const x = view.range ?? reach(nights, { margin: 0.06 }), y = reach(all, { zero: !trend.two_sided });
   if (!trend.two_sided) y[0] = Math.max(y[0], 0);
+  const inside = ({ night }) => night >= x[0] && night <= x[1];
+  const name = x[1] - x[0] < FEW_NIGHTS ? minute : day;
   const draws = [
-    ...(fitted && half && longEnough(trend) ? levelByLevel(trend) : []),
-    ...(limits ? [limits[0], limits[2]].map((limit) => level(limit, [Math.max(lastStep(trend), x[0]), x[1]], "control")) : []),
-    ...(tolerance === null ? [] : [level(tolerance, x, "tolerance"), ...(trend.two_sided ? [level(-tolerance, x, "tolerance")] : [])]),
-    ...steps.map(({ night }) => fall(night, y, "step")),
     points(nights, values, doubts, "value"),
+    ...(fitted && half && hasSlope(trend) ? levelByLevel(shown) : []),
+    ...(limits ? [limits[0], limits[2]].map((limit) => level(limit, [Math.min(Math.max(lastStep(trend), x[0]), x[1]), x[1]], "control")) : []),
+    ...(tolerance === null ? [] : [level(tolerance, x, "tolerance"), ...(trend.two_sided ? [level(-tolerance, x, "tolerance")] : [])]),
+    ...steps.filter(inside).map(({ night }) => fall(night, y, "step")),
+    ...marks.filter(inside).map((mark) => tick(mark, y)),
   ];
-  return make("figure", { className: "trend" }, chart({ title, xLabel: say("trend.nights"), yLabel: unit, x, y, draws, height: 190 }),
-    make("figcaption", {}, drifting(trend)));
+  const svg = chart({ title, xLabel: "", yLabel: unit, x, y, draws, height: 190, ticksX: 4, nameX: (night) => name(dateOf(trend, night)) });
+  listen(svg, x, zoomed);
+  return make("figure", { className: "trend" }, svg, make("figcaption", {}, drifting(trend)));
 }
 
+/* Rates of many nights are small: as many decimals as their uncertainty needs. */
+const rateDigits = (doubt) => Math.min(Math.max(Math.ceil(1 - Math.log10(doubt || 1)), 3), 6);
+
+/* The slope of the fit is stated and drawn only if it can be told from zero. */
+const hasSlope = (trend) => trend.significant && longEnough(trend);
+
 const lastStep = ({ steps }) => Math.max(-Infinity, ...steps.map(({ night }) => night));
+
+/* The runs of the chosen span. */
+function windowed(trend) {
+  const { nights } = trend, last = nights.at(-1);
+  const [from, to] = view.range ?? (view.span === "all" ? [-Infinity, Infinity] : [last - Number(view.span), Infinity]);
+  const inside = nights.map((_, i) => i).filter((i) => nights[i] >= from && nights[i] <= to);
+  const of = (list) => (list ? inside.map((i) => list[i]) : list);
+  return { ...trend, nights: of(nights), values: of(trend.values), standard_uncertainties: of(trend.standard_uncertainties), fitted: of(trend.fitted), fitted_half_width: of(trend.fitted_half_width) };
+}
+
+/* Date of a night: between two runs by interpolation, and by the calendar outside them. */
+export function dateOf({ nights, started }, night) {
+  const after = nights.findIndex((one) => one > night), at = (i) => Date.parse(started[i]);
+  if (after === 0) return at(0) + (night - nights[0]) * MS_PER_DAY;
+  if (after < 0) return at(nights.length - 1) + (night - nights.at(-1)) * MS_PER_DAY;
+  return at(after - 1) + ((night - nights[after - 1]) / (nights[after] - nights[after - 1])) * (at(after) - at(after - 1));
+}
+
+/* Triangle on the axis, with its meaning and date as its title. */
+const tick = ({ night, kind, started }, [low]) => ({ x, y }) => {
+  const [at, foot] = [x(night), y(low)];
+  return [draw("path", { d: `${pathOf([[at - 5, foot + 9], [at + 5, foot + 9], [at, foot]])}Z`, class: `event ${kind}` },
+    draw("title", {}, `${say(`trend.mark_${kind}`)}, ${day(Date.parse(started))}`))];
+};
+
+/* A drag over the chart chooses a span; a double click shows everything again. */
+function listen(svg, [low, high], zoomed) {
+  let from = null;
+  const nightAt = ({ clientX }) => {
+    const box = svg.getBoundingClientRect(), [left, right] = [svg.dataset.left, svg.dataset.right].map((edge) => (Number(edge) * box.width) / svg.viewBox.baseVal.width);
+    return low + (Math.min(Math.max((clientX - box.left - left) / (right - left), 0), 1)) * (high - low);
+  };
+  svg.addEventListener("pointerdown", (event) => (from = event));
+  svg.addEventListener("pointerup", (event) => {
+    if (from && Math.abs(event.clientX - from.clientX) > DRAGGED_PX) {
+      view.range = [nightAt(from), nightAt(event)].sort((a, b) => a - b);
+      zoomed();
+    }
+    from = null;
+  });
+  svg.addEventListener("dblclick", () => {
+    Object.assign(view, { span: "all", range: null });
+    zoomed();
+  });
+}
+
+/* Buttons for the span of time; `zoomed` is called after another one was chosen. */
+export function spans(zoomed) {
+  const chosen = (span) => {
+    Object.assign(view, { span, range: null });
+    zoomed();
+  };
+  return choice("trend.span", SPANS.map((span) => [span, `trend.span_${span}`]), view.range ? null : view.span, chosen);
+}
 
 /* The fit is drawn section by section, so that a step is no slanted line; the band belongs to the section since the last step. */
 function levelByLevel({ nights, fitted, fitted_half_width: half, steps }) {
@@ -38,23 +109,28 @@ function levelByLevel({ nights, fitted, fitted_half_width: half, steps }) {
 }
 
 export function drifting(trend) {
-  const { values, unit, drift_a_night: drift, drift_standard_uncertainty: sigma, significant, nights_left } = trend;
-  const now = say("trend.now", { value: number(values.at(-1), 2), unit });
+  const { values, unit, drift_a_night: drift, drift_standard_uncertainty: sigma, nights_left } = trend;
+  const now = say("trend.now", { value: number(values.at(-1), 2), unit }), digits = rateDigits(COVERAGE * sigma);
   if (drift === null || !longEnough(trend)) return `${now} · ${say("trend.too_few")}`;
-  const rate = say("trend.drift", { drift: number(drift, 3), doubt: number(COVERAGE * sigma, 3), unit });
+  if (!hasSlope(trend)) return `${now} · ${say("trend.no_drift", { doubt: number(COVERAGE * sigma, digits), unit })}`;
+  const rate = say("trend.drift", { drift: number(drift, digits), doubt: number(COVERAGE * sigma, digits), unit });
   const left = nights_left === null ? "" : ` · ${say("trend.left", { nights: number(nights_left, 0) })}`;
-  return `${now} · ${rate}${significant ? ` · ${say("trend.significant")}` : ""}${left}`;
+  return `${now} · ${rate}${left}`;
 }
 
-/* Drift per night, with its uncertainty and unit. */
+/* Drift per night with its uncertainty, or that there is none. */
 export function rateOf(trend) {
-  const { drift_a_night: drift, drift_standard_uncertainty: sigma } = trend;
-  return drift === null || !longEnough(trend) ? "–" : say("parameters.rate", { drift: number(drift, 3), doubt: number(COVERAGE * sigma, 3) });
+  const { drift_a_night: drift, drift_standard_uncertainty: sigma } = trend, digits = rateDigits(COVERAGE * sigma), doubt = number(COVERAGE * sigma, digits);
+  if (drift === null || !longEnough(trend)) return "–";
+  return hasSlope(trend) ? say("parameters.rate", { drift: number(drift, digits), doubt }) : say("plant.no_drift", { doubt });
 }
 
-export function keyOfLines() {
+/* Key of the lines, and of the `marks` that occur. */
+export function keyOfLines(marks = []) {
   const kinds = ["value", "fit", "control", "tolerance", "step"];
-  return make("p", { className: "remark lines" }, ...kinds.map((kind) => make("span", { className: kind }, say(`trend.line_${kind}`))));
+  const occurring = [...new Set(marks.map(({ kind }) => kind))];
+  return make("p", { className: "remark lines" }, ...kinds.map((kind) => make("span", { className: kind }, say(`trend.line_${kind}`))),
+    ...occurring.map((kind) => make("span", { className: `event ${kind}` }, say(`trend.mark_${kind}`))));
 }
 
 export function alarmList(alarms) {

@@ -1,0 +1,134 @@
+"""Overview of all machines that share one history database: the last run of each, its accuracy and its drift."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from functools import cached_property
+from itertools import groupby
+from operator import attrgetter
+from typing import Any
+
+import numpy as np
+
+from agent.history.recent_runs import RecentRun
+from agent.history.schema import utc_time
+from agent.history.series import BARE, CHANGED_MACHINE, TITLES, Series
+from agent.history.trends import Trend, trend_of
+from agent.results.run_verdict import Look
+from twin.units import S_PER_DAY
+
+RECENT_RUNS = 30
+"""Number of latest runs of a machine from which its drift is estimated."""
+_URGENCY = (Look.BAD, Look.REFUSED, Look.WAITING, Look.BUSY, Look.NEUTRAL, Look.GOOD)
+_SHORTEST_DAYS = 1.0
+_NO_WARNING = 0.0
+"""Nights of warning before a tolerance; the plant states none."""
+
+
+@dataclass(frozen=True, eq=False)
+class MachineSummary:
+    """Summary of one machine. `last` is its last run, `days` the time in days since the start of that run.
+
+    `ve_um`, `vce_um` and `held_out_um` are the newest known volumetric error (VE) without a table, the one with the
+    active table (VCE), and the rms of the held-out balls with it. `recent` are its latest runs, the oldest run first.
+    """
+
+    machine: str
+    last: RecentRun
+    days: float
+    ve_um: float | None
+    vce_um: float | None
+    held_out_um: float | None
+    recent: Sequence[RecentRun]
+
+    @cached_property
+    def trend(self) -> Trend | None:
+        """Trend of the VE without a table over the latest runs; None if none of them states it. It is fitted when it is
+        first read, since a page of a list shows only some of the machines."""
+        series = _series(self.recent)
+        return None if series is None else trend_of(series, _NO_WARNING)
+
+    @property
+    def drift_um(self) -> tuple[float, float] | None:
+        """Drift of the VE without a table in µm per night and its expanded uncertainty (95 %), or None if there are too
+        few values for a line, or if all of them are from less than one day."""
+        if self.trend is None or self.trend.drift is None or np.ptp(self.trend.series.nights) < _SHORTEST_DAYS:
+            return None
+        drift = self.trend.drift
+        return drift.slope, drift.factor * drift.slope_sigma
+
+    @property
+    def drifts(self) -> bool:
+        """Return True if the drift is significant."""
+        return self.drift_um is not None and abs(self.drift_um[0]) > self.drift_um[1]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the summary as a mapping to be written as JSON; docs/reference/json.md describes the keys."""
+        drift = self.drift_um
+        return {
+            "machine": self.machine,
+            "run_id": self.last.run_id,
+            "kind": self.last.kind,
+            "started": utc_time(self.last.started).isoformat(timespec="milliseconds").replace("+00:00", "Z"),
+            "days": round(self.days, 2),
+            "verdict": self.last.verdict.as_json(),
+            "ve_um": self.ve_um,
+            "vce_um": self.vce_um,
+            "held_out_um": self.held_out_um,
+            "drift_um_a_night": None if drift is None else drift[0],
+            "drift_expanded_uncertainty": None if drift is None else drift[1],
+            "significant": self.drifts,
+        }
+
+
+def plant_summaries(runs: Sequence[RecentRun], now: datetime) -> tuple[MachineSummary, ...]:
+    """Return the summaries of all machines, those that need attention first: by the verdict on the last run, then by
+    the days since then. `runs` are sorted by machine, the oldest run of a machine first."""
+    found = [_summary(machine, list(of), now) for machine, of in groupby(runs, attrgetter("machine"))]
+    return tuple(sorted(found, key=lambda one: (_URGENCY.index(one.last.verdict.look), -one.days, one.machine)))
+
+
+def _summary(machine: str, runs: Sequence[RecentRun], now: datetime) -> MachineSummary:
+    last = runs[-1]
+    return MachineSummary(
+        machine=machine,
+        last=last,
+        days=max((now - utc_time(last.started)).total_seconds(), 0.0) / S_PER_DAY,
+        ve_um=_newest(run.ve_before_um for run in reversed(runs)),
+        vce_um=_newest(run.acting_um for run in reversed(runs)),
+        held_out_um=_newest(
+            run.held_out_after_um if run.accepted else run.held_out_before_um for run in reversed(runs)
+        ),
+        recent=runs,
+    )
+
+
+def _newest(values: Iterator[float | None]) -> float | None:
+    return next((value for value in values if value is not None), None)
+
+
+def _series(runs: Sequence[RecentRun]) -> Series | None:
+    """Return the series of the VE without a table, by calendar days; None if no run has a value."""
+    first = utc_time(runs[0].started)
+    days = [(utc_time(run.started) - first).total_seconds() / S_PER_DAY for run in runs]
+    found = [(day, run) for day, run in zip(days, runs, strict=True) if run.ve_before_um is not None]
+    if not found:
+        return None
+    sigmas = np.array([run.ve_before_sigma_um for _, run in found], dtype=np.float64)  # None is NaN
+    stated = bool((sigmas > 0.0).all())
+    return Series(
+        name=BARE,
+        title=TITLES[BARE],
+        unit="µm",
+        run_ids=tuple(run.run_id for _, run in found),
+        nights=np.array([day for day, _ in found]),
+        values=np.array([run.ve_before_um for _, run in found], dtype=np.float64),
+        sigmas=sigmas if stated else np.ones(len(found)),
+        stated=stated,
+        tolerance=None,
+        two_sided=False,
+        steps=tuple(sorted({day for day, run in zip(days, runs, strict=True) if run.night in CHANGED_MACHINE})),
+        started_s=np.array([utc_time(run.started).timestamp() for _, run in found]),
+    )

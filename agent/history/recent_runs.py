@@ -1,0 +1,55 @@
+"""The latest runs of every machine in the history, with the few columns that an overview of the plant needs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from datetime import datetime
+
+from sqlalchemy import Select, func, select
+
+from agent.history.schema import RUNS
+from agent.results.run_verdict import RunVerdict, verdict_of
+
+
+@dataclass(frozen=True)
+class RecentRun:
+    """Columns of one of the latest runs of a machine; `agent.history.schema.StoredRun` says what they mean."""
+
+    machine: str
+    run_id: str
+    kind: str
+    started: datetime
+    ended: datetime | None
+    state: str
+    accepted: bool | None
+    night: str | None
+    ve_before_um: float | None
+    ve_before_sigma_um: float | None
+    acting_um: float | None
+    held_out_before_um: float | None
+    held_out_after_um: float | None
+
+    @property
+    def verdict(self) -> RunVerdict:
+        return verdict_of(
+            self.kind, self.state, ended=self.ended is not None, accepted=self.accepted, decision=self.night
+        )
+
+
+def recent_runs_query(count: int) -> Select[*tuple[object, ...]]:
+    """Return the query of the latest `count` runs of each machine, the oldest run of a machine first.
+
+    The names of the machines are found by one step in the index for each machine, and the runs of a machine are a range
+    of the index by start. The work therefore depends on the number of machines, and not on that of their runs.
+    """
+    first = select(func.min(RUNS.c.machine).label("machine")).cte("machines", recursive=True)
+    following = select(func.min(RUNS.c.machine)).where(RUNS.c.machine > first.c.machine).scalar_subquery()
+    machines = first.union_all(select(following).where(first.c.machine.is_not(None)))
+    starts = RUNS.alias("starts")
+    of_machine = select(starts.c.started).where(starts.c.machine == machines.c.machine)
+    latest_first = of_machine.order_by(starts.c.started.desc()).limit(1)
+    oldest = select(func.min(starts.c.started)).where(starts.c.machine == machines.c.machine)
+    since = func.coalesce(latest_first.offset(count - 1).scalar_subquery(), oldest.scalar_subquery())
+    columns = [RUNS.c[one.name] for one in fields(RecentRun)]
+    joined = machines.join(RUNS, (RUNS.c.machine == machines.c.machine) & (RUNS.c.started >= since))
+    return select(*columns).select_from(joined).order_by(RUNS.c.machine, RUNS.c.started, RUNS.c.run_id)

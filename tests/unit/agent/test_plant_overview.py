@@ -1,0 +1,97 @@
+"""Overview of several machines in one database, against what their journals hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing
+from datetime import UTC, datetime
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from journaled import SETTINGS, journaled, run_id
+from sqlalchemy import inspect, make_url, text
+from volcal_command import volcal, volcal_json
+
+from agent.execution.states import RunState
+from agent.history.database_url import DatabaseAddress
+from agent.history.plant import plant_summaries
+from agent.history.schema import RUNS, RUNS_BY_START
+from agent.history.store import HistoryStore
+from agent.history.sync import sync
+from agent.reports.plant_page import drift_text, plant_html, spark_points
+
+NOW = datetime(2026, 11, 13, 2, tzinfo=UTC)
+WILD = "<mill> & co"
+
+
+def address(folder: Path, machine: str) -> DatabaseAddress:
+    return DatabaseAddress(make_url(f"sqlite:///{folder}/plant.sqlite"), machine, 60.0)
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[HistoryStore]:
+    """Ten nights of a machine whose VE grows by 0.5 µm a night, two of one that stands still, and one that failed."""
+    with closing(HistoryStore(address(tmp_path, "grows"))) as opened:
+        for machine, nights in (("grows", 10), ("still", 2), (WILD, 1)):
+            state = tmp_path / str(nights)
+            for night in range(nights):
+                ve_um = 8.0 + 0.5 * night if machine == "grows" else 9.0
+                ends = RunState.FAULTED if machine == WILD else RunState.COMPLETE
+                journaled(state, night, machine=machine, ve_um=ve_um, ends=ends)
+            sync(state, opened)
+        yield opened
+
+
+def test_the_latest_runs_of_each_machine_make_its_row(store: HistoryStore) -> None:
+    runs = store.recent_runs(3)
+    assert [(run.machine, run.run_id) for run in runs] == [
+        (WILD, run_id(0)),
+        *(("grows", run_id(night)) for night in (7, 8, 9)),
+        *(("still", run_id(night)) for night in (0, 1)),
+    ]
+    failed, still, grows = plant_summaries(store.recent_runs(30), NOW)
+    assert (failed.machine, failed.last.verdict.name, failed.days) == (WILD, "faulted", 12.0)
+    assert (still.machine, still.days, still.ve_um, still.held_out_um) == ("still", 11.0, 9.0, 2.5)
+    assert (grows.machine, grows.days, grows.ve_um, grows.vce_um) == ("grows", 3.0, 12.5, 12.5)
+    assert grows.drift_um is not None
+    assert grows.drift_um[0] == pytest.approx(0.5)
+    assert (grows.drifts, still.drifts, failed.drift_um) == (True, False, None)
+    assert drift_text(grows).startswith("+0.500 ± ")
+    assert (drift_text(failed), spark_points(failed)) == ("too few nights", "")
+    points = [tuple(map(float, point.split(","))) for point in spark_points(grows).split()]
+    assert (len(points), points[0][0], points[-1][0]) == (10, 0.0, 120.0)
+    assert all(later[1] < former[1] for former, later in pairwise(points))
+
+
+def test_the_page_has_a_row_for_each_machine(store: HistoryStore) -> None:
+    page = plant_html(plant_summaries(store.recent_runs(30), NOW), store.address.text, NOW)
+    assert page.count("<tr>") == 4
+    assert "&lt;mill&gt; &amp; co" in page
+    assert WILD not in page
+    assert "2026-11-10 02:00" in page
+
+
+def test_a_database_of_an_earlier_program_gets_the_index(store: HistoryStore, tmp_path: Path) -> None:
+    name = str(RUNS_BY_START.name)
+    with store._engine.begin() as connection:
+        connection.execute(text(f"DROP INDEX {name}"))
+    with closing(HistoryStore(address(tmp_path, "grows"))) as again:
+        assert inspect(again._engine).has_index(RUNS.name, name)
+        assert len(again.recent_runs(30)) == 13
+
+
+def test_the_command_lists_them_and_writes_the_page(store: HistoryStore, tmp_path: Path) -> None:
+    config, page = tmp_path / "volcal.toml", tmp_path / "plant.html"
+    roles = "\n".join(f'{role} = "twin"' for role in ("machine", "probe", "store", "thermometer", "operator", "mount"))
+    config.write_text(
+        f'machine = "{SETTINGS["machine"]}"\nartefact = "{SETTINGS["artefact"]}"\n'
+        f'state_directory = "{tmp_path / "10"}"\n'
+        f'[devices.twin]\ndriver = "simulated"\n[roles]\n{roles}\n[stations]\nplaces_mm = [[700.0, 1000.0, 750.0]]\n'
+        f'[history]\nurl = "sqlite:///{tmp_path}/plant.sqlite"\nmachine = "grows"\n'
+    )
+    found = volcal_json("history", "plant", "--config", config, "--html", page)
+    assert [one["machine"] for one in found["machines"]] == [WILD, "still", "grows"]
+    assert found["machines"][2]["drift_um_a_night"] == pytest.approx(0.5)
+    assert "&lt;mill&gt;" in page.read_text(encoding="utf-8")
+    assert "Fault" in volcal("history", "plant", "--config", config).stdout
