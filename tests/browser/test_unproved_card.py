@@ -17,6 +17,7 @@ from agent.runs.unproved_table import UnprovedTable
 MEASURES = (Path(__file__).parent / "measures.js").read_text()
 NO_EVENTS = "retry: 3600000\n\n"
 TABLE = UnprovedTable("20261128T010000Z-abcd", 2, 1, provable=True)
+REASON, REASON_DE = "no bank 7; the controller has 3", "Keine Bank 7; die Steuerung hat 3"
 
 
 @contextmanager
@@ -29,7 +30,7 @@ def told(chromium: Browser, house: Service, table: UnprovedTable, locale: str) -
         response = route.fetch()
         alarm = {
             "code": 360,
-            "text": f"{table.situation}: bank 2 is active and cannot be written",
+            "text": f"{table.situation}: {REASON}",
             "hint": table.way_out,
             "where": {},
         }
@@ -57,8 +58,8 @@ def told(chromium: Browser, house: Service, table: UnprovedTable, locale: str) -
 
 @pytest.mark.parametrize(
     ("locale", "words"),
-    [("en", ("Not ready: unproved table active", "never proved", "bank 2 is active and cannot be", "activate bank 1 at the controller")),
-     ("de", ("Nicht bereit: ungeprüfte Tabelle aktiv", "nie durch Messung", "Bank 2 ist aktiv und kann nicht", "Bank 1 an der Steuerung"))],
+    [("en", ("Not ready: unproved table active", "never proved", REASON, "activate bank 1 at the controller")),
+     ("de", ("Nicht bereit: ungeprüfte Tabelle aktiv", "nie durch Messung", REASON_DE, "Bank 1 an der Steuerung"))],
 )  # fmt: skip
 def test_the_card_says_what_is_active_and_its_buttons_lead_out(
     chromium: Browser, house: Service, locale: str, words: tuple[str, ...]
