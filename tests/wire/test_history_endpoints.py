@@ -110,7 +110,7 @@ def test_an_alarm_ends_with_the_reset_or_the_next_run(client: httpx.Client, tmp_
     assert (last["kind"], last["alarm"]["code"], last["alarm"]["text"]) == ("verify", 311, "no answer")
     assert (last["alarm"]["where"], last["until"]) == ({"step": "station-1/ball-02"}, None)
     with closing(Journal(tmp_path)) as journal:
-        journal.acknowledge(last["run_id"])
+        journal.acknowledge(last["run_id"], {})
     closed, _ = alarms()
     assert closed["until"] > closed["since"]
     assert [one["run_id"] for one in alarms(limit=1, offset=1)] == [run_id(5)]
