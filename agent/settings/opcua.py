@@ -18,7 +18,7 @@ def _address(text: str) -> str:
 
 
 class IdentificationPlate(StrictModel):
-    """What the plate of the machine says. OPC UA clients find it as the identification of the machine (OPC 40001-1);
+    """Content of the plate of the machine. OPC UA clients find it as the identification of the machine (OPC 40001-1);
     what is not given is not shown. `product_instance_uri` is the manufacturer's worldwide unique name of this machine.
     """
 

@@ -69,7 +69,7 @@ def calibrated(state: Path, run_id: str, *, vce_um: float) -> str:
     journal.close()
 
     with open_journal(state) as reader:
-        return reader.require_run(run_id).ended
+        return str(reader.require_run(run_id).ended)
 
 
 def machine_node(client: Client, path: str):
@@ -144,7 +144,7 @@ def test_state_result_and_alerts_follow_the_run(world):
 
             subscription = await client.create_subscription(50, Handler())
             uris = await client.get_namespace_array()
-            alert = client.get_node(ua.NodeId(ALERT.number, uris.index(ALERT.namespace)))
+            alert = client.get_node(ua.NodeId(ua.Int32(ALERT.number), ua.Int16(uris.index(ALERT.namespace))))
             await subscription.subscribe_events(machine_node(client, "Notification.Messages"), alert)
             world.control.fault()
             event = await asyncio.wait_for(heard.get(), WITHIN_S)

@@ -75,13 +75,10 @@ def serve(config: Path, circumstances: Callable[[], Circumstances] = current_cir
             return create_app(app_state, names, http_extensions(settings))
 
         http = HttpEndpoint(settings.service, directory, make_app)
-
-        def note(text: str) -> None:
-            parts.event_log.publish("note", text)
-
-        with open_endpoints([http, *further_endpoints(settings)], owner, note) as endpoints:
+        wanted = [http, *further_endpoints(settings)]
+        with open_endpoints(wanted, owner, lambda text: parts.event_log.publish("note", text)) as endpoints:
             log.info("serving", url=http.url, machine=settings.machine.name, state_directory=str(directory))
-            with notifying(settings, parts, owner, app_state.archive, note), idle_reading(owner):
+            with notifying(settings, parts, owner, app_state.archive), idle_reading(owner):
                 MainLoop(owner, parts.health, Notifier(), signals, config, endpoints).run()
             parts.event_log.close()
         if not parts.reports.close(REPORT_TIMEOUT_S):
@@ -89,9 +86,7 @@ def serve(config: Path, circumstances: Callable[[], Circumstances] = current_cir
 
 
 @contextmanager
-def notifying(
-    settings: Settings, parts: OwnerParts, owner: Owner, archive: Archive, note: Callable[[str], None]
-) -> Iterator[None]:
+def notifying(settings: Settings, parts: OwnerParts, owner: Owner, archive: Archive) -> Iterator[None]:
     """Tell the receivers of the settings about the events of the service for the duration of the `with` block.
 
     Raise ConfigurationError if a file that the settings name cannot be used. If nobody is to be told, nothing is
@@ -109,6 +104,9 @@ def notifying(
         except VolcalError as error:  # refused before the journal had it, or the journal cannot be read
             log.info("a run is told without its figures", run_id=run_id, reason=str(error))
             return None
+
+    def note(text: str) -> None:
+        parts.event_log.publish("note", text)
 
     chosen = settings.notifications
     dispatcher = dispatcher_of(chosen, settings.state_directory, parts.board.show_receiver, note)

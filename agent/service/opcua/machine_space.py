@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -147,16 +147,16 @@ class MachineSpace:
 
     async def _add_variable(self, variable: MachineVariable) -> None:
         above, _, name = variable.path.rpartition(".")
-        index = ua.UInt16(self._indices[variable.namespace])
+        index = self._indices[variable.namespace]
         kind = ua.VariantType[variable.form]
         data_type = (
-            ua.NodeId(ua.Int32(variable.enumeration), index)
+            ua.NodeId(ua.Int32(variable.enumeration), ua.Int16(index))
             if variable.enumeration is not None
             else ua.NodeId(getattr(ObjectIds, variable.form))
         )
         parent, node_id = self._node(above), self._id(f"{MACHINE}.{variable.path}")
         add = parent.add_property if above == "Identification" else parent.add_variable
-        node = await add(node_id, ua.QualifiedName(name, index), ua.get_default_value(kind), kind, data_type)
+        node = await add(node_id, ua.QualifiedName(name, ua.UInt16(index)), ua.get_default_value(kind), kind, data_type)
         if variable.in_micrometres:
             await node.delete_reference(
                 self._server.get_node(ObjectIds.BaseDataVariableType), ObjectIds.HasTypeDefinition
@@ -192,8 +192,10 @@ class MachineSpace:
     async def _show_result(self) -> None:
         """Show the result as the structures of OPC 40001-101; their fields are also variables."""
         result = self._result
-        meta = None if result is None else ua.ResultMetaDataType(ResultId=result.run_id, CreationTime=result.ended)
-        whole = None if meta is None else ua.ResultDataType(ResultMetaData=meta)
+        meta = whole = None
+        if result is not None:  # asyncua makes these two classes from the node set
+            meta = _generated("ResultMetaDataType")(ResultId=result.run_id, CreationTime=result.ended)
+            whole = _generated("ResultDataType")(ResultMetaData=meta)
         for path, value in ((LAST_META, meta), (LAST, whole)):
             await self._write(path, _data_value("ExtensionObject", value, result is None))
 
@@ -220,3 +222,8 @@ def _data_value(form: str, value: MachineValue | ua.NodeId | object | None, awai
         return ua.DataValue(StatusCode=ua.StatusCode(ua.UInt32(code)))
     shown = ua.LocalizedText(str(value)) if form == "LocalizedText" else value
     return ua.DataValue(ua.Variant(shown, ua.VariantType[form]), StatusCode=ua.StatusCode(ua.UInt32(StatusCodes.Good)))
+
+
+def _generated(name: str) -> Callable[..., object]:
+    made: Callable[..., object] = getattr(ua, name)
+    return made

@@ -28,7 +28,6 @@ from agent.service.opcua.companion_types import (
 )
 
 XML: Final = "{http://opcfoundation.org/UA/2011/03/UANodeSet.xsd}"
-NODE_ID: Final = "NodeId"
 DOWNLOAD: Final = "the node sets are in the repository UA-Nodeset of the OPC Foundation (docs/reference/opc-ua.md)"
 log = structlog.get_logger()
 
@@ -131,7 +130,8 @@ async def _import(server: Server, node_set: NodeSet, file: NodeSetFile) -> None:
     _remove_unreadable(file.root)
     ElementTree.register_namespace("", XML.strip("{}"))
     try:
-        await server.import_xml(xmlstring=ElementTree.tostring(file.root), auto_load_definitions=node_set.decode_values)
+        text = ElementTree.tostring(file.root, encoding="unicode")
+        await server.import_xml(xmlstring=text, auto_load_definitions=node_set.decode_values)
     except Exception as error:
         raise _damaged(file.path, str(error) or type(error).__name__) from error
 
@@ -162,7 +162,7 @@ async def _require_types(server: Server, found: Mapping[str, NodeSetFile]) -> No
         index = await server.get_namespace_index(used.namespace)
         node = server.get_node(ua.NodeId(ua.Int32(used.number), ua.Int16(index)))
         try:
-            name = (await node.read_browse_name()).Name
+            name = str((await node.read_browse_name()).Name)
         except ua.UaError:
             name = "nothing"
         if name != used.name:
