@@ -42,7 +42,7 @@ class Endpoint(Protocol):
 
 @contextmanager
 def open_endpoints(
-    endpoints: Sequence[Endpoint], control: Control, note: Callable[[str], None]
+    endpoints: Sequence[Endpoint], control: Control, note: Callable[[str], object]
 ) -> Iterator[Sequence[Endpoint]]:
     """Open all endpoints, yield those that are open, and close them at the end of the `with` block.
 
