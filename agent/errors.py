@@ -4,6 +4,7 @@
 
     VolcalError (drivers/errors.py)
     ├── UserError (drivers/errors.py)
+    │   ├── EndpointUnavailable   an endpoint cannot be opened, and the service goes on without it
     │   └── NotAllowedInState     the service cannot carry out the request in its present state
     └── RunError                  decision of the run itself                          exit code 4
         ├── PlanRefused           the preflight found a violated limit, a collision or an unreachable ball
@@ -25,7 +26,11 @@ because drivers and simulators raise these errors too.
 
 from __future__ import annotations
 
-from drivers.errors import UserError, VolcalError
+from drivers.errors import ConfigurationError, UserError, VolcalError
+
+
+class EndpointUnavailable(ConfigurationError):
+    pass
 
 
 class NotAllowedInState(UserError):

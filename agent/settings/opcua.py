@@ -10,16 +10,32 @@ from pydantic import AfterValidator, Field
 
 from twin.formats.toml_reading import StrictModel
 
+Text = Annotated[str, Field(min_length=1, max_length=200)]
+
 
 def _address(text: str) -> str:
     return str(ip_address(text))
+
+
+class IdentificationPlate(StrictModel):
+    """Content of the plate of the machine. OPC UA clients find it as the identification of the machine (OPC 40001-1);
+    what is not given is not shown. `product_instance_uri` is the manufacturer's worldwide unique name of this machine.
+    """
+
+    manufacturer: Text | None = None
+    model: Text | None = None
+    serial_number: Text | None = None
+    product_instance_uri: Text | None = None
+    location: Text | None = None
+    year_of_construction: int | None = Field(default=None, ge=1900, le=2200)
 
 
 class OpcUaSettings(StrictModel):
     """Settings of the OPC UA server.
 
     `trusted_clients` is the directory of the client certificates (DER or PEM); by default it is ``opcua/trusted`` in
-    the state directory. If `anonymous_reading` is true, anonymous clients may read, hold and abort.
+    the state directory. If `anonymous_reading` is true, anonymous clients may read, hold and abort. `node_sets` is the
+    directory of the node sets of the companion specifications; by default those shipped with volcal are loaded.
     """
 
     enabled: bool = False
@@ -27,9 +43,12 @@ class OpcUaSettings(StrictModel):
     port: int = Field(default=4840, ge=1, le=65535)
     trusted_clients: Path | None = None
     anonymous_reading: bool = False
+    node_sets: Path | None = None
+    identification: IdentificationPlate = IdentificationPlate()
 
     def resolved(self, base: Path) -> OpcUaSettings:
         """Return these settings with relative paths resolved against the directory `base`."""
-        if self.trusted_clients is None:
-            return self
-        return self.model_copy(update={"trusted_clients": (base / self.trusted_clients).resolve()})
+        paths = {"trusted_clients": self.trusted_clients, "node_sets": self.node_sets}
+        return self.model_copy(
+            update={name: (base / path).resolve() for name, path in paths.items() if path is not None}
+        )

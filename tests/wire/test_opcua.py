@@ -6,22 +6,18 @@ import asyncio
 import contextlib
 import json
 import math
-import secrets
 import socket
 import stat
 import sys
-from collections.abc import AsyncIterator, Iterator
-from datetime import UTC, datetime, timedelta
-from pathlib import Path
+from collections.abc import Iterator
+from datetime import timedelta
 
 import pytest
 from asyncua import Client, ua
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 from asyncua.ua.uaerrors import UaStatusCodeError
-from cryptography import x509
-from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import rsa
 from fake_control import FakeControl
+from opcua_world import TOKEN, WITHIN_S, World, certificate, node, opened, own_id, read, secure
 
 from agent.execution.states import RunState
 from agent.service.opcua.certificates import own_certificate
@@ -30,81 +26,7 @@ from agent.service.opcua.model import METHODS, NAMESPACE, PROGRAM_STATES, VARIAB
 from agent.settings.opcua import OpcUaSettings
 from drivers.errors import ConfigurationError
 
-TOKEN = secrets.token_urlsafe()
-WITHIN_S = 300.0
 ROOT = "Volcal"
-
-
-def certificate(directory: Path, name: str, *, valid_for=timedelta(days=2)) -> tuple[Path, Path]:
-    """Create a client's own certificate and key."""
-    directory.mkdir(exist_ok=True)
-    key = rsa.generate_private_key(public_exponent=65537, key_size=2048)
-    subject = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, name)])
-    begin = datetime.now(UTC) - timedelta(days=1)
-    made = (
-        x509.CertificateBuilder()
-        .subject_name(subject)
-        .issuer_name(subject)
-        .public_key(key.public_key())
-        .serial_number(x509.random_serial_number())
-        .not_valid_before(begin)
-        .not_valid_after(begin + valid_for)
-        .add_extension(x509.SubjectAlternativeName([x509.UniformResourceIdentifier(f"urn:{name}")]), critical=False)
-        .sign(key, hashes.SHA256())
-    )
-    der, pem = directory / f"{name}.der", directory / f"{name}.pem"
-    der.write_bytes(made.public_bytes(serialization.Encoding.DER))
-    pem.write_bytes(
-        key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
-    )
-    return der, pem
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        return int(listener.getsockname()[1])
-
-
-class World:
-    """Open endpoint with one trusted and one unknown client certificate."""
-
-    def __init__(self, directory: Path, *, anonymous_reading: bool) -> None:
-        self.state = directory / "state"
-        self.control = FakeControl()
-        self.endpoint = OpcUaEndpoint(
-            OpcUaSettings(port=free_port(), anonymous_reading=anonymous_reading), self.state, TOKEN
-        )
-        self.known = certificate(directory, "known")
-        self.strange = certificate(directory, "strange")
-
-    @property
-    def url(self) -> str:
-        host, port = self.endpoint.address
-        return f"opc.tcp://{host}:{port}/volcal"
-
-    def trust(self, path: Path) -> None:
-        (self.endpoint.trusted_clients / path.name).write_bytes(path.read_bytes())
-
-    def client(self, *, password: str | None = TOKEN, pair: tuple[Path, Path] | None = None) -> Client:
-        client = Client(self.url, timeout=WITHIN_S)
-        if password is not None:
-            client.set_user("panel 1")
-            client.set_password(password)
-        self.pair = pair or self.known
-        return client
-
-    @contextlib.asynccontextmanager
-    async def connected(self, **how) -> AsyncIterator[Client]:
-        client = self.client(**how)
-        await secure(client, self, self.pair)
-        async with client:
-            yield client
-
-
-async def secure(client: Client, world: World, pair: tuple[Path, Path]) -> None:
-    client.application_uri = f"urn:{pair[0].stem}"
-    own = world.state / "opcua" / "own" / "certificate.der"
-    await client.set_security(SecurityPolicyBasic256Sha256, str(pair[0]), str(pair[1]), server_certificate=str(own))
 
 
 @pytest.fixture(scope="module")
@@ -117,34 +39,11 @@ def readable(tmp_path_factory) -> Iterator[World]:
     yield from opened(tmp_path_factory.mktemp("opcua"), anonymous_reading=True)
 
 
-def opened(directory: Path, *, anonymous_reading: bool) -> Iterator[World]:
-    world = World(directory, anonymous_reading=anonymous_reading)
-    world.endpoint.start(world.control)
-    world.trust(world.known[0])
-    try:
-        yield world
-    finally:
-        world.endpoint.stop()
-
-
 @pytest.fixture(autouse=True)
 def at_rest(request) -> None:
     for name in ("world", "readable"):
         if name in request.fixturenames:
             request.getfixturevalue(name).control.begin_anew()
-
-
-def own_id(name: str) -> ua.NodeId:
-    """Return the identifier of a node of volcal's own namespace."""
-    return ua.NodeId(ua.String(name), ua.Int16(2))
-
-
-def node(client: Client, path: str):
-    return client.get_node(own_id(path))
-
-
-async def read(client: Client, path: str):
-    return await node(client, path).read_value()
 
 
 async def call(client: Client, method: str, *arguments):

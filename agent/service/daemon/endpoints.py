@@ -6,10 +6,13 @@ opened.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import Protocol
 
+import structlog
+
+from agent.errors import EndpointUnavailable
 from agent.service.control import Control
 from agent.service.gateway.endpoint import GatewayEndpoint
 from agent.service.http.app import Extension
@@ -18,6 +21,8 @@ from agent.service.opcua.endpoint import OpcUaEndpoint
 from agent.service.page.static_files import mount_page
 from agent.service.token import read_token, token_path
 from agent.settings.schema import Settings
+
+log = structlog.get_logger()
 
 
 class Endpoint(Protocol):
@@ -36,16 +41,26 @@ class Endpoint(Protocol):
 
 
 @contextmanager
-def open_endpoints(endpoints: Sequence[Endpoint], control: Control) -> Iterator[None]:
-    """Open all endpoints, and close them at the end of the `with` block.
+def open_endpoints(
+    endpoints: Sequence[Endpoint], control: Control, note: Callable[[str], object]
+) -> Iterator[Sequence[Endpoint]]:
+    """Open all endpoints, yield those that are open, and close them at the end of the `with` block.
 
-    If an endpoint cannot be opened, close those that are already open and raise its error.
+    An endpoint that raises EndpointUnavailable is left out; the log and `note` say so. If it raises another error,
+    close those that are already open and raise it.
     """
     with ExitStack() as stack:
+        opened = []
         for endpoint in endpoints:
-            endpoint.start(control)
+            try:
+                endpoint.start(control)
+            except EndpointUnavailable as error:
+                log.error("the service goes on without an endpoint", endpoint=endpoint.name, reason=str(error))
+                note(f"the service goes on without {endpoint.name}: {error}")
+                continue
             stack.callback(endpoint.stop)
-        yield
+            opened.append(endpoint)
+        yield opened
 
 
 def further_endpoints(settings: Settings) -> Sequence[Endpoint]:

@@ -78,8 +78,8 @@ def serve(config: Path, circumstances: Callable[[], Circumstances] = current_cir
             return create_app(app_state, names, http_extensions(settings))
 
         http = HttpEndpoint(settings.service, directory, make_app)
-        endpoints = [http, *further_endpoints(settings)]
-        with open_endpoints(endpoints, owner):
+        wanted = [http, *further_endpoints(settings)]
+        with open_endpoints(wanted, owner, lambda text: parts.event_log.publish("note", text)) as endpoints:
             log.info("serving", url=http.url, machine=settings.machine.name, state_directory=str(directory))
             with notifying(settings, parts, owner, app_state.archive), idle_reading(owner):
                 MainLoop(owner, parts.health, Notifier(), signals, config, endpoints).run()

@@ -23,6 +23,7 @@ from agent.runs.run_request import run_request
 from agent.service.alarms import alarm_of
 from agent.service.control import Alarm, Control, Event, Status
 from agent.service.opcua.guard import GuardedServer, refusal_result
+from agent.service.opcua.machine_space import MachineSpace
 from agent.service.opcua.model import (
     ALARM_EVENT,
     EVENT_TYPES,
@@ -47,8 +48,9 @@ _KINDS: dict[str, type] = {"String": str, "Double": float, "Int32": int, "Boolea
 class AddressSpace:
     """OPC UA nodes under one root object. They must be used only in the server's event loop."""
 
-    def __init__(self, server: Server, guarded: GuardedServer, control: Control) -> None:
+    def __init__(self, server: Server, guarded: GuardedServer, control: Control, machine: MachineSpace) -> None:
         self._server = server
+        self._machine = machine
         self._guarded = guarded
         self._control = control
         self._calls = MethodCalls(control)
@@ -68,14 +70,21 @@ class AddressSpace:
             await self._add_variable(path, form, meaning)
         await self._add_methods(root)
         await self._add_events(root)
+        # The own namespace comes first: clients may have kept its index.
+        await self._machine.build(self._index, self._control.status().machine)
 
     async def show(self, status: Status) -> None:
         """Update the nodes with all values of the service status that have changed since the last call."""
+        await self._machine.show(status)
         for variable in VARIABLES:
             await self._write(variable.path, variable.of(status))
         refusal = self._calls.last_refusal
         await self._write(REFUSED_CODE, refusal.code if refusal else 0)
         await self._write(REFUSED_TEXT, f"{refusal.text}. {refusal.hint}" if refusal else "")
+
+    async def read_result(self) -> None:
+        """Read the result of the last calibration; the next `show` shows it."""
+        await self._machine.read_result()
 
     async def show_outcome(self, event: Event) -> None:
         await self._write(OUTCOME, json.dumps({"text": event.text, **dict(event.data)}, default=str))
@@ -87,6 +96,10 @@ class AddressSpace:
 
     async def send_alarm_event(self, alarm: Alarm) -> None:
         await self._send_event(ALARM_EVENT.name, alarm.text, Code=alarm.code, Hint=alarm.hint)
+        await self._machine.send_alert(alarm, active=True)
+
+    async def send_alarm_removed(self, alarm: Alarm) -> None:
+        await self._machine.send_alert(alarm, active=False)
 
     async def _send_event(self, name: str, message: str, **fields: Any) -> None:
         generator = self._events[name]

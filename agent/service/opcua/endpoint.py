@@ -30,6 +30,7 @@ class OpcUaEndpoint:
 
     def __init__(self, settings: OpcUaSettings, state_directory: Path, token: str) -> None:
         self._settings = settings
+        self._state_directory = state_directory
         self._directory = state_directory / "opcua"
         self._token = token
         self._thread: threading.Thread | None = None
@@ -55,7 +56,7 @@ class OpcUaEndpoint:
 
     def start(self, control: Control) -> None:
         """Open the endpoint. Raise ConfigurationError if asyncua is missing, or if the certificate or the address is
-        invalid."""
+        invalid, and EndpointUnavailable if a node set is missing or damaged."""
         opened: Future[None] = Future()
         self._thread = threading.Thread(target=self._run, args=(control, opened), name="opc ua", daemon=True)
         self._thread.start()
@@ -95,6 +96,6 @@ class OpcUaEndpoint:
         self.trusted_clients.mkdir(parents=True, exist_ok=True)
         self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
         AcceptErrors("OPC UA").install()
-        files = module.ServerFiles(self._directory, self.trusted_clients, self._token)
+        files = module.ServerFiles(self._state_directory, self._directory, self.trusted_clients, self._token)
         server: OpcUaServer = module.OpcUaServer(self._settings, files, control)
         await server.serve(self._stop, lambda: opened.set_result(None))

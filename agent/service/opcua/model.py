@@ -2,7 +2,8 @@
 
 Names and their grouping follow OPC 40210 (GMSType, but not its CorrectionType) and OPC 40501-1 (ProductionType,
 MonitoringType, NotificationType), as far as these specifications define them. The nodes belong to this program's own
-namespace and have only base types of OPC UA; they are not instances of the types of these two specifications.
+namespace and have only base types of OPC UA; the instances of the types of OPC 40001 and OPC 40501-1 are in
+`agent.service.opcua.machine_model`.
 """
 
 from __future__ import annotations

@@ -14,10 +14,11 @@ import structlog
 from asyncua import ua
 from asyncua.server.server import Server
 
-from agent.service.control import Control, Event
+from agent.service.control import Alarm, Control, Event
 from agent.service.opcua.address_space import AddressSpace
 from agent.service.opcua.certificates import own_certificate
 from agent.service.opcua.guard import ClientAuthentication, GuardedServer, make_room
+from agent.service.opcua.machine_space import MachineSpace
 from agent.settings.opcua import OpcUaSettings
 from drivers.errors import ConfigurationError
 
@@ -31,9 +32,10 @@ class ServerFiles:
     """Directories and access token of the server.
 
     `directory` contains the server's certificate. `trusted_clients` contains the trusted clients' certificates. `token`
-    is the access token.
+    is the access token. `state_directory` contains the journal.
     """
 
+    state_directory: Path
     directory: Path
     trusted_clients: Path
     token: str
@@ -67,8 +69,10 @@ class OpcUaServer:
         server = Server(iserver=guarded)
         await server.init()
         await self._secure(server)
-        space = AddressSpace(server, guarded, self._control)
+        machine = MachineSpace(server, self._settings, self._files.state_directory)
+        space = AddressSpace(server, guarded, self._control, machine)
         await space.build()
+        await space.read_result()
         await space.show(self._control.status())
         try:
             await server.start()
@@ -100,20 +104,23 @@ class OpcUaServer:
         server.set_identity_tokens([*tokens, ua.AnonymousIdentityToken] if self._settings.anonymous_reading else tokens)
 
     async def _feed(self, server: Server, space: AddressSpace, events: Queue[Event], stop: asyncio.Event) -> None:
-        known: tuple[str, tuple[int, ...]] = ("", ())
+        known: tuple[str, tuple[Alarm, ...]] = ("", ())
         while not stop.is_set():
             for event in await asyncio.to_thread(_waiting_events, events):
                 if event.kind == "outcome":
                     await space.show_outcome(event)
+                    await space.read_result()
             known = await self._refresh(space, known)
             if server.bserver is not None:
                 make_room(server.bserver.clients)
 
-    async def _refresh(self, space: AddressSpace, known: tuple[str, tuple[int, ...]]) -> tuple[str, tuple[int, ...]]:
+    async def _refresh(
+        self, space: AddressSpace, known: tuple[str, tuple[Alarm, ...]]
+    ) -> tuple[str, tuple[Alarm, ...]]:
         """Update the nodes, then send events about changes. A client that receives an event can therefore read the new
         values.
 
-        `known` contains the state and the alarm codes at the last update. Return the current ones.
+        `known` contains the state and the alarms at the last update. Return the current ones.
         """
         try:
             status = self._control.status()
@@ -121,13 +128,14 @@ class OpcUaServer:
             log.exception("status not available")
             return known
         await space.show(status)
-        now = status.state.value, tuple(alarm.code for alarm in status.alarms)
+        now = status.state.value, status.alarms
         if now[0] != known[0]:
             await space.send_state_event(status)
-        if now[1] != known[1]:
-            for alarm in status.alarms:
-                if alarm.code not in known[1]:
-                    await space.send_alarm_event(alarm)
+        before, after = ({alarm.code: alarm for alarm in alarms} for alarms in (known[1], now[1]))
+        for alarm in (alarm for code, alarm in before.items() if code not in after):
+            await space.send_alarm_removed(alarm)
+        for alarm in (alarm for alarm in now[1] if alarm.code not in before):
+            await space.send_alarm_event(alarm)
         return now
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from agent.service.opcua.machine_model import MACHINE_VARIABLES, STATE_MACHINES
 from agent.service.opcua.model import (
     EVENT_TYPES,
     METHODS,
@@ -14,8 +15,11 @@ from agent.service.opcua.model import (
     VARIABLES,
     Argument,
 )
+from agent.service.opcua.node_sets import NODE_SETS, read_node_sets
 
 PAGE = (Path(__file__).parents[3] / "docs" / "reference" / "opc-ua.md").read_text(encoding="utf-8")
+
+SHIPPED = Path(__file__).parents[3] / "agent" / "service" / "opcua" / "companion"
 
 
 def section(heading: str) -> list[list[str]]:
@@ -43,6 +47,23 @@ def test_every_method_stands_on_the_page():
 
 def test_every_event_stands_on_the_page():
     assert section("Events") == [[f"`{e.name}`", str(e.severity), listed(e.fields), e.meaning] for e in EVENT_TYPES]
+
+
+def test_every_node_of_the_machine_stands_on_the_page():
+    variables = [[f"`{one.path}`", one.form, one.meaning] for one in MACHINE_VARIABLES]
+    machines = [[f"`{one.path}`", one.type.name, one.meaning] for one in STATE_MACHINES]
+    assert section("Machine") == variables + machines
+
+
+def test_every_node_set_that_is_shipped_stands_on_the_page_and_has_its_licence():
+    found = read_node_sets(SHIPPED)
+    assert section("Node sets") == [
+        [f"`{found[one.uri].path.name}`", one.specification, f"`{one.uri}`", found[one.uri].version, one.version]
+        for one in NODE_SETS
+    ]
+    assert len(found) == len(NODE_SETS)
+    for file in found.values():
+        assert "OPC Foundation MIT License 1.00" in file.path.read_text(encoding="utf-8")
 
 
 def test_names_in_the_text_are_those_of_the_code():

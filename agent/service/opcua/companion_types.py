@@ -1,0 +1,46 @@
+"""Namespaces and types of the companion specifications that the address space uses, with their identifiers in the
+published node sets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+UA: Final = "http://opcfoundation.org/UA/"
+DEVICES: Final = "http://opcfoundation.org/UA/DI/"
+INDUSTRIAL_AUTOMATION: Final = "http://opcfoundation.org/UA/IA/"
+MACHINERY: Final = "http://opcfoundation.org/UA/Machinery/"
+JOB_CONTROL: Final = "http://opcfoundation.org/UA/ISA95-JOBCONTROL_V2/"
+JOBS: Final = "http://opcfoundation.org/UA/Machinery/Jobs/"
+MACHINE_TOOL: Final = "http://opcfoundation.org/UA/MachineTool/"
+RESULT: Final = "http://opcfoundation.org/UA/Machinery/Result/"
+
+
+@dataclass(frozen=True)
+class CompanionType:
+    """Node of a published node set: a type, or the folder of the machines."""
+
+    namespace: str
+    number: int
+    name: str
+
+
+MACHINES: Final = CompanionType(MACHINERY, 1001, "Machines")
+MACHINE_TOOL_TYPE: Final = CompanionType(MACHINE_TOOL, 13, "MachineToolType")
+ITEM_STATE: Final = CompanionType(MACHINERY, 1002, "MachineryItemState_StateMachineType")
+OPERATION_MODE: Final = CompanionType(MACHINE_TOOL, 1003, "MachineOperationModeStateMachineType")
+PROGRAM_STATE: Final = CompanionType(MACHINE_TOOL, 15, "ProductionProgramStateMachineType")
+SOFTWARE: Final = CompanionType(MACHINE_TOOL, 43, "SoftwareIdentificationType")
+MONITORED_ELEMENT: Final = CompanionType(MACHINE_TOOL, 23, "ElementMonitoringType")
+MESSAGES: Final = CompanionType(MACHINE_TOOL, 38, "MessagesType")
+NOTIFICATION_EVENT: Final = CompanionType(MACHINE_TOOL, 35, "NotificationEventType")
+ALERT: Final = CompanionType(MACHINE_TOOL, 39, "AlertType")
+RESULT_MANAGEMENT: Final = CompanionType(RESULT, 1004, "ResultManagementType")
+RESULT_VARIABLE: Final = CompanionType(RESULT, 2001, "ResultType")
+FOLDER: Final = CompanionType(UA, 61, "FolderType")
+BASE_OBJECT: Final = CompanionType(UA, 58, "BaseObjectType")
+
+USED_TYPES: Final = (
+    MACHINES, MACHINE_TOOL_TYPE, ITEM_STATE, OPERATION_MODE, PROGRAM_STATE, SOFTWARE, MONITORED_ELEMENT, MESSAGES,
+    NOTIFICATION_EVENT, ALERT, RESULT_MANAGEMENT, RESULT_VARIABLE,
+)  # fmt: skip

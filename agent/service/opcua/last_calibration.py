@@ -1,0 +1,49 @@
+"""Result of the last calibration, read from the journal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+import structlog
+
+from agent.errors import JournalFailed
+from agent.execution.journal_reader import has_journal, open_journal
+from agent.results.run_verdict import RunVerdict, run_figures, verdict_of
+from drivers.errors import VolcalError
+
+log = structlog.get_logger()
+
+
+@dataclass(frozen=True)
+class CalibrationResult:
+    """Result of a run that has ended and has stated a volumetric error. `ve_um` and `vce_um` are those of
+    `agent.results.run_verdict.RunFigures`; `ended` is a UTC time."""
+
+    run_id: str
+    ended: datetime
+    ve_um: float | None
+    vce_um: float | None
+    verdict: RunVerdict
+
+
+def last_calibration(directory: Path) -> CalibrationResult | None:
+    """Return the result of the latest run of the journal in `directory` that has ended and has stated a volumetric
+    error, or None if there is none. If the journal cannot be read, log the error and return None."""
+    if not has_journal(directory):
+        return None
+    try:
+        with open_journal(directory, JournalFailed) as reader:
+            for run in reader.latest_begun_runs():
+                figures = run_figures(reader.decision_records(run.run))
+                if run.ended is not None and (figures.ve_um is not None or figures.vce_um is not None):
+                    verdict = verdict_of(
+                        run.kind, run.state, ended=True, accepted=figures.accepted, decision=figures.decision
+                    )
+                    return CalibrationResult(
+                        run.run_id, datetime.fromisoformat(run.ended), figures.ve_um, figures.vce_um, verdict
+                    )
+    except VolcalError as error:
+        log.warning("result of the last calibration unknown", error=str(error))
+    return None

@@ -1,0 +1,229 @@
+"""Nodes of the machine under ``Objects/Machines``, made from `agent.service.opcua.machine_model`."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from asyncua import ua
+from asyncua.common.instantiate_util import instantiate
+from asyncua.common.node import Node
+from asyncua.server.event_generator import EventGenerator
+from asyncua.server.server import Server
+from asyncua.ua.object_ids import ObjectIds
+from asyncua.ua.status_codes import StatusCodes
+
+from agent.service.control import Alarm, Status
+from agent.service.opcua.companion_types import (
+    ALERT,
+    MACHINE_TOOL_TYPE,
+    MACHINES,
+    MONITORED_ELEMENT,
+    CompanionType,
+)
+from agent.service.opcua.last_calibration import CalibrationResult, last_calibration
+from agent.service.opcua.machine_model import (
+    ALERTS,
+    CALIBRATION,
+    LAST,
+    LAST_META,
+    MACHINE,
+    MACHINE_VARIABLES,
+    PARTS,
+    SHARED_PARTS,
+    SHARED_VARIABLES,
+    STATE_MACHINES,
+    Facts,
+    MachineValue,
+    MachineVariable,
+    OptionalPart,
+    StateMachine,
+)
+from agent.service.opcua.model import ALARM_EVENT
+from agent.service.opcua.node_sets import load_node_sets
+from agent.settings.opcua import OpcUaSettings
+
+_MICROMETRE: Final = ua.EUInformation(
+    NamespaceUri="http://www.opcfoundation.org/UA/units/un/cefact",
+    UnitId=ua.Int32(0x3448),  # the UNECE code 4H, as OPC 10000-8 encodes it
+    DisplayName=ua.LocalizedText("µm"),
+    Description=ua.LocalizedText("micrometre"),
+)
+
+
+class MachineSpace:
+    """Nodes of the machine. They must be used only in the server's event loop."""
+
+    def __init__(self, server: Server, settings: OpcUaSettings, state_directory: Path) -> None:
+        self._server = server
+        self._settings = settings
+        self._state_directory = state_directory
+        self._result: CalibrationResult | None = None
+        self._own = ua.Int16(0)
+        self._indices: dict[str, int] = {}
+        self._alerts = EventGenerator(server.iserver.isession)
+        self._states: dict[str, Mapping[str, tuple[ua.NodeId, int]]] = {}
+        self._shown: dict[str, Any] = {}
+
+    async def build(self, own: int, name: str) -> None:
+        """Add the machine `name`. `own` is the index of the own namespace, whose nodes already exist. Raise
+        EndpointUnavailable if the node sets cannot be loaded."""
+        await load_node_sets(self._server, self._settings.node_sets)
+        self._own = ua.Int16(own)
+        self._indices = {uri: place for place, uri in enumerate(await self._server.get_namespace_array())}
+        machines, machine_type = self._type(MACHINES), self._type(MACHINE_TOOL_TYPE)
+        await instantiate(
+            machines, machine_type, self._id(MACHINE), ua.QualifiedName(name, self._own), ua.LocalizedText(name),
+            instantiate_optional=False,
+        )  # fmt: skip
+        for part in PARTS:
+            await self._add_part(part)
+        await self._add_calibration()
+        for place, part_path in SHARED_PARTS:
+            await self._node(place).add_reference(self._node(part_path), ObjectIds.HasAddIn)
+        for variable in MACHINE_VARIABLES:
+            if variable.namespace:
+                await self._add_variable(variable)
+        for machine in STATE_MACHINES:
+            self._states[machine.path] = await self._states_of(machine)
+        await self._alerts.init(self._type(ALERT), self._node(ALERTS))
+
+    async def read_result(self) -> None:
+        """Read the result of the last calibration from the journal, in a thread."""
+        self._result = await asyncio.to_thread(last_calibration, self._state_directory)
+
+    async def show(self, status: Status) -> None:
+        """Update the nodes that have changed since the last call."""
+        facts = Facts(status, self._settings.identification, self._result)
+        for variable in MACHINE_VARIABLES:
+            await self._write(variable.path, _data_value(variable.form, variable.of(facts), variable.awaited(facts)))
+        for machine in STATE_MACHINES:
+            await self._show_state(machine, facts)
+        await self._show_result()
+
+    async def send_alert(self, alarm: Alarm, *, active: bool) -> None:
+        """Send an AlertType event: the alarm has appeared, or a reset has removed it."""
+        fields = {
+            "Severity": ALARM_EVENT.severity,
+            "ConditionName": f"alarm {alarm.code}",
+            "NodeId": self._id(f"{MACHINE}.{ALERTS}.{alarm.code}"),
+            "EnabledState": ua.LocalizedText("Enabled"),
+            "EnabledState/Id": True,
+            "ActiveState": ua.LocalizedText("Active" if active else "Inactive"),
+            "ActiveState/Id": active,
+            "Retain": active,
+        }
+        for field, value in fields.items():
+            setattr(self._alerts.event, field, value)
+        # The type has no default value from which asyncua could learn the type of this field.
+        self._alerts.event.add_property("ErrorCode", str(alarm.code), ua.VariantType.String)
+        await self._alerts.trigger(message=f"{alarm.text}. {alarm.hint}" if alarm.hint else alarm.text)
+
+    async def _add_part(self, part: OptionalPart) -> None:
+        above, _, name = f"{MACHINE}.{part.path}".rpartition(".")
+        parent = self._server.get_node(self._id(above))
+        browse_name = ua.QualifiedName(name, ua.UInt16(self._indices[part.namespace]))
+        await instantiate(
+            parent, self._type(part.type), self._id(f"{MACHINE}.{part.path}"), browse_name, ua.LocalizedText(name),
+            instantiate_optional=False,
+        )  # fmt: skip
+        if part.add_in:  # asyncua attaches what stands in a folder with Organizes
+            node = self._node(part.path)
+            await parent.add_reference(node, ObjectIds.HasAddIn)
+            await parent.delete_reference(node, ObjectIds.Organizes)
+
+    async def _add_calibration(self) -> None:
+        """Add the element that shows the run: ElementMonitoringType is abstract, so it has a type of its own."""
+        name = ua.QualifiedName("CalibrationMonitoringType", self._own)
+        own_type = await self._type(MONITORED_ELEMENT).add_object_type(self._id(name.Name), name)
+        await instantiate(
+            self._node("Monitoring"), own_type, self._id(f"{MACHINE}.{CALIBRATION}"),
+            ua.QualifiedName("Calibration", self._own), instantiate_optional=False,
+        )  # fmt: skip
+        for path in SHARED_VARIABLES:
+            await self._node(CALIBRATION).add_reference(self._server.get_node(self._id(path)), ObjectIds.HasComponent)
+
+    async def _add_variable(self, variable: MachineVariable) -> None:
+        above, _, name = variable.path.rpartition(".")
+        index = self._indices[variable.namespace]
+        kind = ua.VariantType[variable.form]
+        data_type = (
+            ua.NodeId(ua.Int32(variable.enumeration), ua.Int16(index))
+            if variable.enumeration is not None
+            else ua.NodeId(getattr(ObjectIds, variable.form))
+        )
+        parent, node_id = self._node(above), self._id(f"{MACHINE}.{variable.path}")
+        add = parent.add_property if above == "Identification" else parent.add_variable
+        node = await add(node_id, ua.QualifiedName(name, ua.UInt16(index)), ua.get_default_value(kind), kind, data_type)
+        if variable.in_micrometres:
+            await node.delete_reference(
+                self._server.get_node(ObjectIds.BaseDataVariableType), ObjectIds.HasTypeDefinition
+            )
+            await node.add_reference(ObjectIds.BaseAnalogType, ObjectIds.HasTypeDefinition, bidirectional=False)
+            unit = self._id(f"{MACHINE}.{variable.path}.EngineeringUnits")
+            await node.add_property(unit, ua.QualifiedName("EngineeringUnits"), _MICROMETRE)
+
+    async def _states_of(self, machine: StateMachine) -> Mapping[str, tuple[ua.NodeId, int]]:
+        """Return identifier and number of each state by its name. A subtype may inherit its states."""
+        found: dict[str, tuple[ua.NodeId, int]] = {}
+        kinds = [self._type(machine.type)]
+        while kinds:
+            kind = kinds.pop()
+            for child in await kind.get_children(nodeclassmask=ua.NodeClass.Object):
+                numbers = await child.get_properties()
+                for number in numbers:
+                    if (await number.read_browse_name()).Name == "StateNumber":
+                        name = (await child.read_browse_name()).Name
+                        found.setdefault(name, (child.nodeid, await number.read_value()))
+            kinds += await kind.get_referenced_nodes(ObjectIds.HasSubtype, ua.BrowseDirection.Inverse)
+        return found
+
+    async def _show_state(self, machine: StateMachine, facts: Facts) -> None:
+        name, awaited = machine.of(facts), machine.awaited(facts)
+        node_id, number = (None, None) if name is None else self._states[machine.path][name]
+        current = f"{machine.path}.CurrentState"
+        await self._write(current, _data_value("LocalizedText", name, awaited))
+        await self._write(f"{current}.Id", _data_value("NodeId", node_id, awaited))
+        if machine.numbered:
+            await self._write(f"{current}.Number", _data_value("UInt32", number, awaited))
+
+    async def _show_result(self) -> None:
+        """Show the result as the structures of OPC 40001-101; their fields are also variables."""
+        result = self._result
+        meta = whole = None
+        if result is not None:  # asyncua makes these two classes from the node set
+            meta = _generated("ResultMetaDataType")(ResultId=result.run_id, CreationTime=result.ended)
+            whole = _generated("ResultDataType")(ResultMetaData=meta)
+        for path, value in ((LAST_META, meta), (LAST, whole)):
+            await self._write(path, _data_value("ExtensionObject", value, result is None))
+
+    async def _write(self, path: str, value: ua.DataValue) -> None:
+        shown = value.Value, value.StatusCode
+        if self._shown.get(path) != shown:
+            await self._node(path).write_value(value)
+            self._shown[path] = shown
+
+    def _type(self, wanted: CompanionType) -> Node:
+        return self._server.get_node(ua.NodeId(ua.Int32(wanted.number), ua.Int16(self._indices[wanted.namespace])))
+
+    def _node(self, path: str) -> Node:
+        return self._server.get_node(self._id(f"{MACHINE}.{path}"))
+
+    def _id(self, path: str) -> ua.NodeId:
+        return ua.NodeId(ua.String(path), self._own)
+
+
+def _data_value(form: str, value: MachineValue | ua.NodeId | object | None, awaited: bool) -> ua.DataValue:
+    """Return the value, or the status that says why there is none."""
+    if value is None:
+        code = StatusCodes.BadWaitingForInitialData if awaited else StatusCodes.BadNoData
+        return ua.DataValue(StatusCode=ua.StatusCode(ua.UInt32(code)))
+    shown = ua.LocalizedText(str(value)) if form == "LocalizedText" else value
+    return ua.DataValue(ua.Variant(shown, ua.VariantType[form]), StatusCode=ua.StatusCode(ua.UInt32(StatusCodes.Good)))
+
+
+def _generated(name: str) -> Callable[..., object]:
+    made: Callable[..., object] = getattr(ua, name)
+    return made

@@ -1,0 +1,257 @@
+"""Machine under Objects/Machines: its types, its values and its notifications, with two clients; bad node sets."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator
+from datetime import datetime
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+from aloud import NOT_HERE
+from asyncua import Client, ua
+from cryptography import x509
+from cryptography.hazmat.primitives import serialization
+from fake_control import FakeControl
+from opcua_world import TOKEN, WITHIN_S, World, opened, own_id
+
+from agent.errors import EndpointUnavailable
+from agent.execution.journal import Journal
+from agent.execution.journal_reader import open_journal
+from agent.execution.states import RunState
+from agent.results.decision_kinds import OUTCOME, PROOF
+from agent.service.daemon.endpoints import open_endpoints
+from agent.service.opcua.companion_types import ALERT, DEVICES, MACHINE_TOOL, MACHINERY, RESULT
+from agent.service.opcua.endpoint import OpcUaEndpoint
+from agent.service.opcua.machine_model import LAST, LAST_META, MACHINE_VARIABLES
+from agent.service.opcua.model import NAMESPACE
+from agent.service.opcua.node_sets import read_node_sets
+from agent.settings.opcua import OpcUaSettings
+from drivers.clock import VirtualClock
+
+PEER = Path(__file__).parent / "peers" / "node"
+PLATE = {
+    "manufacturer": "Musterbau",
+    "serial_number": "4711",
+    "product_instance_uri": "urn:musterbau:m8:4711",
+    "year_of_construction": 2019,
+}
+SHIPPED = Path(str(files("agent.service.opcua") / "companion"))
+BAD_NO_DATA, WAITING = ua.StatusCodes.BadNoData, ua.StatusCodes.BadWaitingForInitialData
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory) -> Iterator[World]:
+    yield from opened(tmp_path_factory.mktemp("opcua"), identification=PLATE)
+
+
+@pytest.fixture(autouse=True)
+def at_rest(request) -> None:
+    if "world" in request.fixturenames:
+        request.getfixturevalue("world").control.begin_anew()
+
+
+def calibrated(state: Path, run_id: str, *, vce_um: float) -> str:
+    """Write a calibration that has ended into the journal, and return the time of its end."""
+    journal = Journal(state)
+    run = journal.start_run(run_id, "calibrate", {"machine": "m.toml"}, "0.1.0", VirtualClock())
+    run.origin({})
+    run.begun()
+    run.decision(PROOF, {"accepted": True})
+    run.state(RunState.COMPLETE, final=True)
+    run.decision(OUTCOME, {"estimated_ve_um": 38.5, "predicted_vce_um": vce_um})
+    journal.close()
+
+    with open_journal(state) as reader:
+        return str(reader.require_run(run_id).ended)
+
+
+def machine_node(client: Client, path: str):
+    return client.get_node(own_id(f"Machine.{path}"))
+
+
+async def status_of(client: Client, path: str) -> int:
+    return (await machine_node(client, path).read_data_value(raise_on_bad_status=False)).StatusCode.value
+
+
+async def until(client: Client, path: str, value) -> None:
+    async with asyncio.timeout(WITHIN_S):
+        while (await machine_node(client, path).read_data_value(raise_on_bad_status=False)).Value.Value != value:
+            await asyncio.sleep(0.01)
+
+
+def test_the_machine_has_the_published_types_and_nothing_that_was_not_read(world):
+    async def scene() -> None:
+        async with world.connected() as client:
+            uris = await client.get_namespace_array()
+            machines = await client.nodes.objects.get_child(f"{uris.index(MACHINERY)}:Machines")
+            (machine,) = await machines.get_children()
+            assert (await machine.read_browse_name()).to_string() == f"{uris.index(NAMESPACE)}:mill-7"
+            kind = await machine.read_type_definition()
+            assert (uris[kind.NamespaceIndex], kind.Identifier) == (MACHINE_TOOL, 13)
+            plate = await machine.get_child(f"{uris.index(DEVICES)}:Identification")
+            assert (await plate.read_type_definition()).Identifier == 11
+            serial = await plate.get_child(f"{uris.index(DEVICES)}:SerialNumber")
+            assert await serial.read_value() == "4711"
+            assert (await machine_node(client, "Identification.Manufacturer").read_value()).Text == "Musterbau"
+            assert await machine_node(client, "Identification.YearOfConstruction").read_value() == 2019
+            assert await status_of(client, "Identification.Model") == BAD_NO_DATA
+            assert await status_of(client, "Monitoring.MachineTool.OperationMode") == BAD_NO_DATA
+            assert await status_of(client, "MachineryBuildingBlocks.MachineryItemState.CurrentState") == BAD_NO_DATA
+            assert await status_of(client, "Production.ActiveProgram.Name") == WAITING
+            assert await status_of(client, f"{LAST}.VCE") == WAITING
+            for variable in MACHINE_VARIABLES:
+                found = machine_node(client, variable.path)
+                assert (await found.read_data_type_as_variant_type()).name in (variable.form, "Int32", "Guid")
+
+    asyncio.run(scene())
+
+
+def test_state_result_and_alerts_follow_the_run(world):
+    async def scene() -> None:
+        async with world.connected() as client:
+            item = "MachineryBuildingBlocks.MachineryItemState.CurrentState"
+            world.control.now(RunState.MEASURING, run_id="r-1", position_set="S1+S3")
+            await until(client, f"{item}", ua.LocalizedText("Executing"))
+            await until(client, "Production.ActiveProgram.State.CurrentState", ua.LocalizedText("Running"))
+            number = await machine_node(client, "Production.ActiveProgram.State.CurrentState.Number").read_value()
+            state = client.get_node(await machine_node(client, f"{item}.Id").read_value())
+            assert (number, (await state.read_browse_name()).Name) == (1, "Executing")
+            assert await machine_node(client, "Production.ActiveProgram.JobIdentifier").read_value() == "r-1"
+
+            ended = calibrated(world.state, "r-1", vce_um=3.5)
+            world.control.now(RunState.COMPLETE)
+            world.control.tell("outcome", "accepted")
+            await until(client, f"{LAST}.VCE", 3.5)
+            assert await machine_node(client, f"{LAST}.VE").read_value() == 38.5
+            assert await machine_node(client, f"{LAST}.Verdict").read_value() == "accepted"
+            assert await machine_node(client, f"{LAST_META}.ResultEvaluation").read_value() == 1
+            assert await machine_node(client, f"{LAST_META}.CreationTime").read_value() == datetime.fromisoformat(ended)
+            unit = await machine_node(client, f"{LAST}.VCE.EngineeringUnits").read_value()
+            assert (unit.UnitId, unit.DisplayName.Text) == (13384, "µm")
+
+            heard: asyncio.Queue = asyncio.Queue()
+
+            class Handler:
+                def event_notification(self, event) -> None:
+                    heard.put_nowait(event)
+
+            subscription = await client.create_subscription(50, Handler())
+            uris = await client.get_namespace_array()
+            alert = client.get_node(ua.NodeId(ua.Int32(ALERT.number), ua.Int16(uris.index(ALERT.namespace))))
+            await subscription.subscribe_events(machine_node(client, "Notification.Messages"), alert)
+            world.control.fault()
+            event = await asyncio.wait_for(heard.get(), WITHIN_S)
+            assert (event.ErrorCode, event.Severity, event.Retain) == ("311", 800, True)
+            assert event.Message.Text == "the mount does not answer. check the cable"
+            world.control.reset()
+            event = await asyncio.wait_for(heard.get(), WITHIN_S)
+            assert (event.ErrorCode, event.Retain) == ("311", False)
+            await subscription.delete()
+
+    asyncio.run(scene())
+
+
+def pem_of(der: Path) -> Path:
+    pem = der.with_suffix(".crt.pem")
+    pem.write_bytes(x509.load_der_x509_certificate(der.read_bytes()).public_bytes(serialization.Encoding.PEM))
+    return pem
+
+
+def test_another_vendors_client_finds_the_machine(world, tmp_path):
+    modules = Path(os.environ.get("VOLCAL_NODE_MODULES", PEER / "node_modules"))
+    if shutil.which("node") is None or not (modules / "node-opcua-client").is_dir():
+        pytest.skip(f"{NOT_HERE}: OPC UA with node-opcua-client: node or its packages are missing (.ci/install-node)")
+    ended = calibrated(world.state, "r-2", vce_um=4.25)
+    world.control.now(RunState.HELD, run_id="r-3", position_set="S1")
+    world.control.tell("outcome", "accepted")
+
+    async def shown() -> None:
+        async with world.connected() as client:
+            await until(client, f"{LAST}.VCE", 4.25)
+
+    asyncio.run(shown())
+    der, key = world.known
+    said = subprocess.run(
+        ["node", str(PEER / "machine.js"), world.url, str(tmp_path / "pki"), str(pem_of(der)), str(key), "urn:known",
+         TOKEN],
+        env={**os.environ, "NODE_PATH": str(modules)}, capture_output=True, text=True, timeout=WITHIN_S, check=False,
+    )  # fmt: skip
+    assert said.returncode == 0, said.stderr
+    found = json.loads(said.stdout.splitlines()[-1])
+    assert found["types"] == {
+        "machine": [MACHINE_TOOL, 13, "MachineToolType"],
+        "identification": [MACHINE_TOOL, 11, "MachineToolIdentificationType"],
+        "monitoring": [MACHINE_TOOL, 14, "MonitoringType"],
+        "production": [MACHINE_TOOL, 21, "ProductionType"],
+        "notification": [MACHINE_TOOL, 7, "NotificationType"],
+        "itemState": [MACHINERY, 1002, "MachineryItemState_StateMachineType"],
+        "result": [RESULT, 2001, "ResultType"],
+    }
+    assert (found["name"], found["manufacturer"], found["serialNumber"]) == ("mill-7", "Musterbau", "4711")
+    assert found["productInstanceUri"] == PLATE["product_instance_uri"]
+    assert (found["program"], found["itemState"], found["packml"]) == ("Interrupted", "NotExecuting", "Held")
+    assert (found["ve"], found["vce"], found["verdict"]) == (38.5, 4.25, "accepted")
+    assert abs(datetime.fromisoformat(found["ended"]) - datetime.fromisoformat(ended)).total_seconds() < 1e-3
+
+
+def copied(directory: Path) -> Path:
+    return Path(shutil.copytree(SHIPPED, directory / "sets"))
+
+
+def changed(directory: Path, name: str, pattern: str, by: str) -> Path:
+    path = copied(directory) / name
+    path.write_text(re.sub(pattern, by, path.read_text(encoding="utf-8"), count=1, flags=re.DOTALL), encoding="utf-8")
+    return path.parent
+
+
+MACHINE_TOOL_FILE = "Opc.Ua.MachineTool.NodeSet2.xml"
+BAD = {
+    "missing folder": (lambda d: d / "none", "does not exist"),
+    "cut off": (lambda d: changed(d, MACHINE_TOOL_FILE, r"(.{20000}).*", r"\1"), "cannot be read"),
+    "another document": (lambda d: changed(d, MACHINE_TOOL_FILE, r".*", "<svg/>"), "not a UANodeSet"),
+    "another namespace": (
+        lambda d: changed(d, MACHINE_TOOL_FILE, '<Model ModelUri="[^"]*', '<Model ModelUri="urn:x'),
+        "no file here has the namespace http://opcfoundation.org/UA/MachineTool/",
+    ),
+    "too old": (lambda d: changed(d, MACHINE_TOOL_FILE, 'Version="1.02.0"', 'Version="1.01.1"'), "1.01.1 .* too old"),
+}  # fmt: skip
+NOT_IMPORTED = {
+    "a type is missing": (
+        lambda d: changed(d, MACHINE_TOOL_FILE, 'BrowseName="1:AlertType"', 'BrowseName="1:Other"'),
+        "the type AlertType .* is missing",
+    ),
+    "not importable": (
+        lambda d: changed(d, MACHINE_TOOL_FILE, '<UAVariable NodeId="ns=1;i=231"', '<UAVariable NodeId="ns=x"'),
+        "cannot be read",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", list(BAD))
+def test_an_unusable_node_set_is_named_with_what_to_do(tmp_path, what):
+    make, words = BAD[what]
+    with pytest.raises(EndpointUnavailable, match=words) as caught:
+        read_node_sets(make(tmp_path))
+    assert caught.value.where["key"] == "opcua.node_sets"
+    assert str(tmp_path) in caught.value.where["file"]
+    assert "UA-Nodeset" in caught.value.hint
+
+
+@pytest.mark.parametrize("what", list(NOT_IMPORTED))
+def test_without_usable_node_sets_the_service_goes_on_and_says_so(tmp_path, what):
+    make, words = NOT_IMPORTED[what]
+    endpoint = OpcUaEndpoint(OpcUaSettings(node_sets=make(tmp_path)), tmp_path, TOKEN)
+    notes: list[str] = []
+    with open_endpoints([endpoint], FakeControl(), notes.append) as open_ones:
+        assert open_ones == []
+    (note,) = notes
+    assert re.search(words, note)
+    assert note.startswith("the service goes on without OPC UA")
+    assert MACHINE_TOOL_FILE in note
