@@ -39,6 +39,7 @@ BY_ERRNO: Final = MappingProxyType(
         errno.EMFILE: "too many open files",
         errno.ENOTDIR: "not a directory",
         errno.EISDIR: "is a directory",
+        errno.EEXIST: "a file of this name exists",
         errno.ENAMETOOLONG: "the name is too long",
         errno.ENOMEM: "out of memory",
     }

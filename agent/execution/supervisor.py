@@ -107,12 +107,14 @@ class Supervisor:
         self._holding = True
         try:
             self.on_hold()
-            while self._hold.is_set():
-                self.heartbeat()
-                self._raise_stop_request()
-                self._clock.sleep(HOLD_POLL_S)
-                if not self._hold.is_set():
-                    self.before_resume()
+            released = False
+            while not released:
+                while self._hold.is_set():
+                    self.heartbeat()
+                    self._raise_stop_request()
+                    self._clock.sleep(HOLD_POLL_S)
+                self.before_resume()
+                released = not self._hold.is_set()
             self.on_resume()
         finally:
             self._holding = False

@@ -36,8 +36,9 @@ EXPECTED_REASONS = {
     "guard": "probe tripped in a guarded move",
     "disk full": "the journal cannot be written",
     "no": "the operator said no",
-    "defect": "a defect of ours",
+    "defect": "internal error of the program",
 }
+DEFECT = "a defect of ours"
 BY_REQUEST = ("abort", "no")
 WITHDRAWING = ("abort", "refused", "guard", "disk full", "no", "defect")
 """Interruptions after which the axes can and must withdraw. Without a link, or in a fault, nothing moves."""
@@ -275,4 +276,7 @@ def _journal(interrupter: Interrupter) -> list[str]:
         failures.append(f"the last state in the journal is {states[-1:]}")
     if EXPECTED_REASONS[interruption.how] not in str(run.reason).split(";", maxsplit=1)[0]:
         failures.append(f"the journal's first cause is {run.reason}")
+    faults = [event.record for event in journal.events(run.run, ("fault",))]
+    if interruption.how == "defect" and not any(DEFECT in fault["error"] for fault in faults):
+        failures.append(f"the journal does not say which defect it was: {faults}")
     return failures

@@ -94,7 +94,7 @@ class Requests(RuleBasedStateMachine):
     def a_defect(self) -> None:
         self.house.puppet.crash(ZeroDivisionError("of ours"))
         assert self.owner.wait(PATIENCE_S)
-        self.state, self.cause = S.FAULTED, "of ours"
+        self.state, self.cause = S.FAULTED, "internal error of the program"
 
     @rule()
     def hold(self) -> None:

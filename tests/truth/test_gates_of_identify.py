@@ -12,6 +12,7 @@ from foreign_case_files import Case, written_case
 from volcal_command import volcal
 
 from agent.cli.main import main
+from agent.results.gates import GATE_RULES
 from campaigns.foreign.artefact import S1, S3, STATIONS_MM
 
 ESTIMATE_ONLY = ["artefact-covariance.csv", "artefact.toml", "estimate.json", "report.html"]
@@ -58,11 +59,12 @@ def test_a_measurement_that_says_too_little_leaves_no_table(poor: Case, tmp_path
     document, message = json.loads(done.stdout), done.stderr
     failed = [name for name, passed in document["gates"].items() if not passed]
     assert failed
-    assert message.startswith("error: no table was written: gate ")
-    assert all(f"gate {name}: " in message for name in failed)
+    titles = [GATE_RULES[name].title for name in failed]
+    assert message.startswith("error: no table was written: ")
+    assert all(f"{title}: " in message for title in titles)
     assert "--even-so" in message
     assert (document["state"], document["table"]) == ("refused", None)
-    assert all(f"gate {name}: " in document["reason"] for name in failed)
+    assert all(f"{title}: " in document["reason"] for title in titles)
     assert files(out) == ESTIMATE_ONLY
     page = (out / "report.html").read_text()
     assert all(f"No table was written: the gate {name} failed" in page for name in failed)

@@ -123,7 +123,7 @@ def test_the_command_refuses_the_table_and_names_the_positions_of_the_file(tmp_p
     done = folder.run(bar, rows_of(measured.seen, first_position=101, per_station=len(S3)), "--order", "4", "--json")
     assert done.exit_code == 0, done.output  # `--even-so`
     assert '"step in run": false' in done.stdout
-    assert "gate step in run" in done.stdout
+    assert "change of the machine while measuring, probability: " in done.stdout
     assert "the machine changed while it was measured: B0Z changed by +" in done.stdout
     assert "between position 110, ball" in done.stdout
     stored = parse_estimate((folder.out / "estimate.json").read_text(), "estimate.json").document.step_in_run

@@ -156,7 +156,7 @@ class Owner:
                 "it is allowed between runs, after a reset, while a table is active that was never proved; "
                 "a run can also be given up while it is unfinished",
             )
-            self._note(f"{_SETTLING[what]} requested", by)
+            self._note(_SETTLING[what], by)
             found = act(self.settings, self._parts.config.parent)
             self._show(found)
             if found.unproved is not None:
@@ -483,8 +483,8 @@ class Owner:
 
 
 _SETTLING = {
-    allowed_requests.RESTORE_FORMER: "reactivation of the former table",
-    allowed_requests.GIVE_UP: "end of the unfinished run",
+    allowed_requests.RESTORE_FORMER: "reactivation of the former table requested",
+    allowed_requests.GIVE_UP: "end of the unfinished run requested",
 }
 """What a request to settle an unfinished run asks for, in words."""
 
