@@ -161,7 +161,7 @@ def plant_command(config: Path, html: Path | None, as_json_object: bool) -> None
     else:
         table = columns_table(PLANT_COLUMNS, whole=("machine",))
         for one in machines:
-            verdict = f"{one.last.verdict.sign} {one.last.verdict.word['en']}"
+            verdict = f"{one.verdict.sign} {one.verdict.word['en']}"
             figures = ("-" if value is None else f"{value:.2f}" for value in (one.ve_um, one.vce_um, one.held_out_um))
             table.add_row(one.machine, f"{one.days:.1f}", one.last.kind, verdict, *figures, drift_text(one))
         results_console().print(table)

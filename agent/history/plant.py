@@ -16,7 +16,7 @@ from agent.history.recent_runs import RecentRun
 from agent.history.schema import utc_time
 from agent.history.series import BARE, CHANGED_MACHINE, TITLES, Series
 from agent.history.trends import Trend, trend_of
-from agent.results.run_verdict import Look
+from agent.results.run_verdict import RUNNING, Look, RunVerdict
 from twin.units import S_PER_DAY
 
 RECENT_RUNS = 30
@@ -29,7 +29,8 @@ _NO_WARNING = 0.0
 
 @dataclass(frozen=True, eq=False)
 class MachineSummary:
-    """Summary of one machine. `last` is its last run, `days` the time in days since the start of that run.
+    """Summary of one machine. `last` is its last run, `verdict` the verdict on it, and `days` the time in days since
+    its start.
 
     `ve_um`, `vce_um` and `held_out_um` are the newest known volumetric error (VE) without a table, the one with the
     active table (VCE), and the rms of the held-out balls with it. `recent` are its latest runs, the oldest run first.
@@ -37,11 +38,17 @@ class MachineSummary:
 
     machine: str
     last: RecentRun
+    verdict: RunVerdict
     days: float
     ve_um: float | None
     vce_um: float | None
     held_out_um: float | None
     recent: Sequence[RecentRun]
+
+    @property
+    def started(self) -> datetime:
+        """Start of the last run in UTC; a database server may state it in another time zone."""
+        return utc_time(self.last.started)
 
     @cached_property
     def trend(self) -> Trend | None:
@@ -71,9 +78,9 @@ class MachineSummary:
             "machine": self.machine,
             "run_id": self.last.run_id,
             "kind": self.last.kind,
-            "started": utc_time(self.last.started).isoformat(timespec="milliseconds").replace("+00:00", "Z"),
+            "started": self.started.isoformat(timespec="milliseconds").replace("+00:00", "Z"),
             "days": round(self.days, 2),
-            "verdict": self.last.verdict.as_json(),
+            "verdict": self.verdict.as_json(),
             "ve_um": self.ve_um,
             "vce_um": self.vce_um,
             "held_out_um": self.held_out_um,
@@ -83,18 +90,23 @@ class MachineSummary:
         }
 
 
-def plant_summaries(runs: Sequence[RecentRun], now: datetime) -> tuple[MachineSummary, ...]:
+def plant_summaries(
+    runs: Sequence[RecentRun], now: datetime, running: tuple[str, str] | None = None
+) -> tuple[MachineSummary, ...]:
     """Return the summaries of all machines, those that need attention first: by the verdict on the last run, then by
-    the days since then. `runs` are sorted by machine, the oldest run of a machine first."""
-    found = [_summary(machine, list(of), now) for machine, of in groupby(runs, attrgetter("machine"))]
-    return tuple(sorted(found, key=lambda one: (_URGENCY.index(one.last.verdict.look), -one.days, one.machine)))
+    the days since then. `runs` are sorted by machine, the oldest run of a machine first. `running`
+    names the machine and the run that is known to be in progress, which the database does not say."""
+    found = [_summary(machine, list(of), now, running) for machine, of in groupby(runs, attrgetter("machine"))]
+    return tuple(sorted(found, key=lambda one: (_URGENCY.index(one.verdict.look), -one.days, one.machine)))
 
 
-def _summary(machine: str, runs: Sequence[RecentRun], now: datetime) -> MachineSummary:
+def _summary(machine: str, runs: Sequence[RecentRun], now: datetime, running: tuple[str, str] | None) -> MachineSummary:
     last = runs[-1]
+    in_progress = last.ended is None and (machine, last.run_id) == running
     return MachineSummary(
         machine=machine,
         last=last,
+        verdict=RUNNING if in_progress else last.verdict,
         days=max((now - utc_time(last.started)).total_seconds(), 0.0) / S_PER_DAY,
         ve_um=_newest(run.ve_before_um for run in reversed(runs)),
         vce_um=_newest(run.acting_um for run in reversed(runs)),

@@ -199,9 +199,9 @@ class HistoryStore:
             if not inspect(connection).has_table(VERSIONS.name):
                 METADATA.create_all(connection)
                 connection.execute(insert(VERSIONS), {"version": SCHEMA_VERSION})
-            elif not inspect(connection).has_index(RUNS.name, str(RUNS_BY_START.name)):
-                _add_index(connection)
             found = connection.execute(select(VERSIONS.c.version)).scalar_one()
+            if found == SCHEMA_VERSION and not inspect(connection).has_index(RUNS.name, str(RUNS_BY_START.name)):
+                _add_index(connection)
         if found != SCHEMA_VERSION:
             raise ConfigurationError(
                 f"the history database has version {found}, this program supports version {SCHEMA_VERSION}",

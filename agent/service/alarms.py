@@ -39,7 +39,9 @@ _CODES: dict[type[errors.VolcalError], AlarmCode] = {
     ),
     errors.InputError: AlarmCode(202, "invalid data file or table", "correct the file and row given in the alarm"),
     run_errors.EndpointUnavailable: AlarmCode(
-        203, "an endpoint of the service cannot be opened", "correct the file given in the alarm and restart the service"
+        203,
+        "an endpoint of the service cannot be opened",
+        "correct the file given in the alarm and restart the service",
     ),
     run_errors.NotAllowedInState: AlarmCode(
         210, "the request is not allowed in this state", "see which requests the state allows"

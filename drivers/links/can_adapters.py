@@ -44,6 +44,10 @@ FLAGS_WITHIN_S = 1.0
 """Time limit in s for the answer to a status query; some adapters do not support the query."""
 
 
+class UnsuitableOption(OurWords, ValueError):
+    """Option that the adapter does not have."""
+
+
 class BusFailure(OurWords, can.CanOperationError):
     """Failure of the bus that is found here and not in python-can."""
 
@@ -108,7 +112,7 @@ class SlcanBus(slcanBus):
     def __init__(self, channel: str, **options: Any) -> None:
         self._is_shutdown = True
         if options.get("bitrate") not in (None, *self._BITRATES):
-            raise ValueError(
+            raise UnsuitableOption(
                 f"bitrate {options['bitrate']} is not one of {', '.join(str(rate) for rate in self._BITRATES)}"
             )
         self._is_shutdown = False

@@ -91,7 +91,8 @@ def test_the_start_dialog_asks_for_what_the_kind_of_run_has(chromium: Browser, h
 
         def start(kind: str) -> dict[str, Any]:
             page.check("input[name=consent]")
-            page.click("dialog button[type=submit]")
+            with page.expect_response("**/api/start"):
+                page.click("dialog button[type=submit]")
             expect(page.locator("dialog")).to_be_hidden()
             expect(page.locator("#said")).to_have_text("Run started.")
             last = sent.pop()

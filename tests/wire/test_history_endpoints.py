@@ -87,7 +87,14 @@ def test_runs_are_selected_numbered_and_handed_out_page_by_page(client: httpx.Cl
     plant = client.get("/api/history/plant").json()
     assert (plant["machine"], plant["total"], [one["run_id"] for one in plant["machines"]]) == ("mine", 1, [run_id(7)])
     assert client.get("/api/history/plant", params={"offset": 1}).json()["machines"] == []
-    for query in ({"limit": 201}, {"offset": -1}, {"since": "yesterday"}, {"since": "2026-11-03"}, {"text": "x" * 101}):
+    for query in (
+        {"limit": 201},
+        {"offset": -1},
+        {"since": "yesterday"},
+        {"since": "2026-11-03"},
+        {"since": "0001-01-01T00:00:00+14:00"},
+        {"text": "x" * 101},
+    ):
         refused = client.get("/api/history/runs", params=query)
         assert (refused.status_code, refused.json()["where"]["key"]) == (422, f"query.{next(iter(query))}"), query
 

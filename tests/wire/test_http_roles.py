@@ -159,7 +159,7 @@ def test_a_code_becomes_a_token_once_and_neither_is_logged(house: House) -> None
         assert machine.post("/api/pairing/revoke", json={"name": "phone"}).status_code == 200
         assert phone.post("/api/hold", headers=authorized).status_code == 403
     written = json.dumps(logs)
-    assert "phone" in written
+    assert "pairing refused" in written
     assert made["code"] not in written
     assert paired["token"] not in written
 

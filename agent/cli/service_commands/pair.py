@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import sys
 from datetime import datetime
 from ipaddress import ip_address
@@ -31,12 +32,19 @@ ROLES = ("operator", "engineer")
 LONGEST_MINUTES = 60
 
 
+def _finite(_: click.Context, parameter: click.Parameter, minutes: float) -> float:
+    if math.isnan(minutes):  # lies in every range for click
+        raise click.BadParameter("nan is not a number of minutes", param=parameter)
+    return minutes
+
+
 @click.command("pair")
 @click.option("--role", type=click.Choice(ROLES), default="operator", show_default=True, help="What the client may do.")
 @click.option("--name", help="Name of the client in journal and history; default: its role and a number.")
 @click.option(
     "--minutes",
     type=click.FloatRange(1, LONGEST_MINUTES),
+    callback=_finite,
     default=5.0,
     show_default=True,
     metavar="N",
@@ -77,7 +85,8 @@ def page_address(service: ServiceSettings, url: str, code: str) -> str:
     if not service.host_names or service.loopback:
         return f"{url}/#pair={code}"
     host = service.host_names[0]
-    return f"{found.scheme}://{f'[{host}]' if ':' in host else host}:{found.port}/#pair={code}"
+    port = "" if found.port is None else f":{found.port}"  # the usual port of the scheme is not stated
+    return f"{found.scheme}://{f'[{host}]' if ':' in host else host}{port}/#pair={code}"
 
 
 def _reachable(address: str) -> bool:

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import secrets
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from datetime import datetime
 from pathlib import Path
 from threading import Lock
 from typing import Any, Final
@@ -25,6 +27,7 @@ from drivers.errors import ConfigurationError, InputError, UserError
 FILE_NAME: Final = "paired-clients.json"
 OWNER_ONLY: Final = 0o600
 MAX_CLIENTS: Final = 100
+_SHA256: Final = re.compile(r"[0-9a-f]{64}")
 MAX_NAME: Final = 40
 
 
@@ -132,6 +135,8 @@ def _read(path: Path) -> tuple[PairedClient, ...]:
 def _client(entry: Any) -> PairedClient:
     client = PairedClient(**entry)
     if client.role not in ROLES or not all(isinstance(value, str) and value for value in asdict(client).values()):
+        raise ValueError("not a client")
+    if not _SHA256.fullmatch(client.sha256) or datetime.fromisoformat(client.paired).tzinfo is None:
         raise ValueError("not a client")
     return client
 

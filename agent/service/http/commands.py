@@ -8,8 +8,10 @@ from typing import Annotated
 from fastapi import APIRouter, Depends
 
 from agent.files import translated
+from agent.printable import one_line
 from agent.service.access.roles import CHECK_SETTINGS, RESTORE_TABLE, Requester
 from agent.service.allowed_requests import ANSWER, GIVE_UP, HOLD, RESET, RESTORE_FORMER, RESUME, RESUME_RUN, START
+from agent.service.control import MAX_REASON
 from agent.service.http.app_state import AppStateDependency
 from agent.service.http.models import (
     AbortBody,
@@ -38,8 +40,8 @@ async def abort(
     request is always accepted; between runs it has no effect. If it has the token of a paired client, its name is
     added to the reason."""
     # A thread of the loop's own pool, which no other request uses: slow requests may occupy all threads of the server.
-    reason = (body or AbortBody()).reason
-    await asyncio.to_thread(app_state.control.abort, f"{reason} ({name})" if name else reason)
+    reason, asked = (body or AbortBody()).reason, f" ({name})" if name else ""
+    await asyncio.to_thread(app_state.control.abort, f"{one_line(reason, MAX_REASON - len(asked))}{asked}")
     return RequestAccepted()
 
 

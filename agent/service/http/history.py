@@ -4,11 +4,11 @@ imported at the first request for runs."""
 from __future__ import annotations
 
 from contextlib import closing
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Annotated
 
 from fastapi import APIRouter, Query
-from pydantic import AwareDatetime
+from pydantic import AfterValidator, AwareDatetime
 
 from agent.results.run_verdict import RUNNING
 from agent.service.http.app_state import AppStateDependency
@@ -30,8 +30,18 @@ if TYPE_CHECKING:
 
 router = APIRouter(prefix="/api/history", tags=["reading"], responses=DOCUMENTED)
 
+
+def _utc(moment: datetime) -> datetime:
+    """Return the same instant in UTC. Raise ValueError if it lies outside the calendar there."""
+    try:
+        return moment.astimezone(UTC)
+    except OverflowError:
+        raise ValueError("the instant lies outside the calendar") from None
+
+
 Limit = Annotated[int, Query(ge=1, le=200)]
 Offset = Annotated[int, Query(ge=0, le=10_000_000)]
+Moment = Annotated[AwareDatetime, AfterValidator(_utc)]
 Words = Annotated[list[Annotated[str, Query(max_length=40)]], Query(max_length=20)]
 
 
@@ -42,8 +52,8 @@ def history_runs(
     offset: Offset = 0,
     kind: Words = [],  # noqa: B006  FastAPI copies it
     verdict: Words = [],  # noqa: B006
-    since: AwareDatetime | None = None,
-    until: AwareDatetime | None = None,
+    since: Moment | None = None,
+    until: Moment | None = None,
     text: Annotated[str, Query(max_length=100)] = "",
 ) -> HistoryRunList:
     """Return runs of this machine, the latest first: those of the given kinds and verdicts, started from `since` until
@@ -94,9 +104,10 @@ def history_plant(app_state: AppStateDependency, limit: Limit = 50, offset: Offs
     with closing(HistoryStore(database_address(settings))) as store:
         sync_missing(settings.state_directory, store)
         runs = store.recent_runs(RECENT_RUNS)
-    found = plant_summaries(runs, datetime.fromisoformat(utc_timestamp()))
+    own, running = store.address.machine, app_state.archive.running()
+    found = plant_summaries(runs, datetime.fromisoformat(utc_timestamp()), None if running is None else (own, running))
     machines = [PlantMachine.model_validate(one.as_json()) for one in found[offset : offset + limit]]
-    return PlantView(machine=store.address.machine, machines=machines, total=len(found))
+    return PlantView(machine=own, machines=machines, total=len(found))
 
 
 def _run_view(numbered: NumberedRun, running: str | None, journaled: frozenset[str]) -> HistoryRun:

@@ -10,7 +10,7 @@ from agent.execution.states import RunState
 from agent.runs.run_request import RunRequest
 from agent.service.access.pairing_codes import DIGITS, MAX_MINUTES
 from agent.service.access.roles import Role
-from agent.service.control import Status
+from agent.service.control import MAX_REASON, Status
 
 
 class RequestBody(BaseModel):
@@ -32,7 +32,7 @@ class ResumeRunBody(RequestBody):
 
 
 class AbortBody(RequestBody):
-    reason: str = Field(default="abort pressed", min_length=1, max_length=200)
+    reason: str = Field(default="abort pressed", min_length=1, max_length=MAX_REASON)
 
 
 class AnswerBody(RequestBody):

@@ -28,7 +28,7 @@ from agent.runs.run_request import RunRequest, Source
 from agent.runs.session import RunResult, new_run_id
 from agent.service import allowed_requests
 from agent.service.alarms import alarm_of
-from agent.service.control import Alarm, Event, Status
+from agent.service.control import MAX_REASON, Alarm, Event, Status
 from agent.service.owner.owner_parts import OwnerParts
 from agent.service.owner.questions import Questions
 from agent.service.owner.run_hooks import RunHooksFactory, night_slot
@@ -43,9 +43,6 @@ log = structlog.get_logger()
 
 READING_LIMIT_S = 30.0
 """Longest time in s that a request waits for a reading of the idle machine, or for the compaction of an old run."""
-
-MAX_REASON = 200
-"""Longest reason of an abort in characters. Anybody may abort, so the reason may be any text."""
 
 
 class Owner:

@@ -156,6 +156,7 @@ def test_names_are_printable_and_their_number_is_bounded(tmp_path: Path) -> None
         '{"clients": [1]}',
         '{"clients": [{"name": "a"}]}',
         '{"clients": [{"name": "a", "role": "king", "paired": "x", "sha256": "y"}]}',
+        '{"clients": [{"name": "a", "role": "operator", "paired": "2026-11-29T03:00:00Z", "sha256": "\u00e9"}]}',
         '{"clients": [{"name": 1, "role": "operator", "paired": "x", "sha256": "y"}]}',
         "\udc80",
         "[" * 100_000,
@@ -195,7 +196,7 @@ def test_an_engineer_may_do_what_an_operator_may() -> None:
     [
         ({}, "http://127.0.0.1:8517", "http://127.0.0.1:8517"),
         ({"host_names": ["mill-7.local"]}, "http://127.0.0.1:8517", "http://127.0.0.1:8517"),
-        ({"host": "10.0.0.5", "host_names": ["mill-7", "b"], **TLS}, "https://10.0.0.5:443", "https://mill-7:443"),
+        ({"host": "10.0.0.5", "host_names": ["mill-7", "b"], **TLS}, "https://10.0.0.5", "https://mill-7"),
         ({"host": "::", "host_names": ["fd00::2"], **TLS}, "https://[::1]:8517", "https://[fd00::2]:8517"),
         ({"host": "192.0.2.2", **TLS}, "https://192.0.2.2:8517", "https://192.0.2.2:8517"),
     ],

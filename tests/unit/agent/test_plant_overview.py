@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import closing
-from datetime import UTC, datetime
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta, timezone
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from volcal_command import volcal, volcal_json
 from agent.execution.states import RunState
 from agent.history.database_url import DatabaseAddress
 from agent.history.plant import plant_summaries
-from agent.history.schema import RUNS, RUNS_BY_START
+from agent.history.schema import RUNS, RUNS_BY_START, utc_time
 from agent.history.store import HistoryStore
 from agent.history.sync import sync
 from agent.reports.plant_page import drift_text, plant_html, spark_points
@@ -62,6 +63,18 @@ def test_the_latest_runs_of_each_machine_make_its_row(store: HistoryStore) -> No
     points = [tuple(map(float, point.split(","))) for point in spark_points(grows).split()]
     assert (len(points), points[0][0], points[-1][0]) == (10, 0.0, 120.0)
     assert all(later[1] < former[1] for former, later in pairwise(points))
+
+
+def test_a_run_in_progress_is_not_called_unfinished_and_its_start_is_in_utc(tmp_path: Path) -> None:
+    with closing(HistoryStore(address(tmp_path, "mill"))) as store:
+        journaled(tmp_path / "state", 0, machine="mill")
+        sync(tmp_path / "state", store)
+        (run,) = store.recent_runs(3)
+    there = utc_time(run.started).astimezone(timezone(timedelta(hours=9)))
+    elsewhere = replace(run, started=there, ended=None, state=RunState.MEASURING.value)
+    (unfinished,), (busy,) = plant_summaries([elsewhere], NOW), plant_summaries([elsewhere], NOW, ("mill", run.run_id))
+    assert (unfinished.verdict.name, busy.verdict.name) == ("unfinished", "running")
+    assert f"{utc_time(run.started):%Y-%m-%d %H:%M}" in plant_html((busy,), "plant", NOW)
 
 
 def test_the_page_has_a_row_for_each_machine(store: HistoryStore) -> None:

@@ -17,7 +17,7 @@ from agent.execution.run_state import Announcement
 from agent.execution.states import RunState
 from agent.printable import one_line, printable
 from agent.service.client import _parse_events
-from agent.service.owner.owner import MAX_REASON
+from agent.service.control import MAX_REASON
 from drivers.errors import InputError
 
 EVIL = "stop\x1b]0;title\x07\x1b[2J\u202egnp.exe\r\nerror: all is well"

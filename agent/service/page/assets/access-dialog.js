@@ -14,8 +14,9 @@ export async function askAccess(why = "", typing = false) {
   if (typed) {
     keepToken(typed);
     await learnAccess();
-    return token() !== null || askAccess(say("token.wrong"), true);
+    return token() === typed || askAccess(say("token.wrong"), true);
   }
+  if (given.get("code") === null) return askAccess(say("token.wrong"), true);
   try {
     await pairWith(given.get("code").replaceAll(/\D/g, ""));
     return true;

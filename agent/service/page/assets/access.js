@@ -1,7 +1,7 @@
 /* Who this page is to the service: name and role of its token, and the requests that they permit. */
 import { say } from "./language.js";
 import { showDone, showProblem } from "./notices.js";
-import { ask, forgetToken, keepPaired, read, Refused, token } from "./requests.js";
+import { ask, dropRefused, forgetToken, keepPaired, read, Refused, token } from "./requests.js";
 
 const NOBODY = { role: null, name: "", may: null };
 const PAIRING = /^#pair=([0-9]{6})$/;
@@ -27,8 +27,9 @@ export async function learnAccess() {
   } catch (error) {
     if (!(error instanceof Refused)) throw error;
     if (![401, 403].includes(error.problem.status)) return;
-    leave();
-    return;
+    dropRefused();
+    now = NOBODY;
+    if (token()) return learnAccess();
   }
   tell();
 }

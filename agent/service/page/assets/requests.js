@@ -17,6 +17,12 @@ export function forgetToken() {
   localStorage.removeItem(PAIRED_AS);
 }
 
+/* Forgets the token in use, which the service has refused; one of a paired browser below a typed one stays. */
+export function dropRefused() {
+  if (sessionStorage.getItem(KEPT_AS) === null) localStorage.removeItem(PAIRED_AS);
+  else sessionStorage.removeItem(KEPT_AS);
+}
+
 /* What no header can carry is no token; it must not keep an abort from being sent. */
 const SENDABLE = /^[!-~]+$/;
 const authorized = () => (SENDABLE.test(token() ?? "") ? { authorization: `Bearer ${token()}` } : {});

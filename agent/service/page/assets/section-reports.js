@@ -6,13 +6,13 @@ import { make } from "./dom.js";
 import { languageNow, minute, number, say } from "./language.js";
 import { showProblem } from "./notices.js";
 import { field, heading, pager, remark, table, wordOr } from "./parts.js";
-import { fetchFile, read, Refused, token } from "./requests.js";
+import { fetchFile, isTokenRefused, read, Refused, token } from "./requests.js";
 import { compare } from "./section-compare.js";
 import { told } from "./sentences.js";
 import { reasonText, verdictMark } from "./wording.js";
 
 export const ofRun = false;
-const PAGE = 25, COMPARED = 2;
+const PAGE = 25, COMPARED = 2, DATES = { min: "2000-01-01", max: "9998-12-31" };
 const wanted = { kind: "", verdict: "", since: "", until: "", text: "" };
 let offset = 0, chosen = [];
 
@@ -50,6 +50,7 @@ function go(to, again) {
 
 function filters({ kinds, verdicts }, again) {
   const changed = (key) => (event) => {
+    if (!event.target.validity.valid) return undefined;
     wanted[key] = event.target.value.trim();
     return go(0, again).then(() => document.getElementById(event.target.id)?.focus());
   };
@@ -58,7 +59,7 @@ function filters({ kinds, verdicts }, again) {
       make("option", { value: name, selected: name === wanted[key] }, say("reports.counted", { word: word(name), count: number(count, 0) })))));
   const input = (key, type, more = {}) => field(`reports.${key}`, make("input", { id: `filter-${key}`, type, value: wanted[key], onchange: changed(key), ...more }));
   return make("div", { className: "choosers" }, options("kind", kinds, (name) => wordOr("kind", name)), options("verdict", verdicts, (name) => wordOr("verdict", name)),
-    input("since", "date"), input("until", "date"), input("text", "search", { maxLength: 100, title: say("reports.text_is") }));
+    input("since", "date", DATES), input("until", "date", DATES), input("text", "search", { maxLength: 100, title: say("reports.text_is") }));
 }
 
 function comparison(open) {

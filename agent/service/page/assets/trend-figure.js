@@ -105,7 +105,8 @@ function levelByLevel({ nights, fitted, fitted_half_width: half, steps }) {
   const pieces = edges.slice(1).map((end, i) => nights.map((_, at) => at).filter((at) => nights[at] >= edges[i] && nights[at] < end)).filter((piece) => piece.length);
   const last = pieces.at(-1), of = (values, piece) => piece.map((at) => values[at]);
   const low = of(fitted, last).map((value, i) => value - half[last[i]]), high = of(fitted, last).map((value, i) => value + half[last[i]]);
-  return [band(of(nights, last), low, high, "fit"), ...pieces.map((piece) => line(of(nights, piece), of(fitted, piece), "fit"))];
+  const banded = nights[last[0]] >= edges.at(-2) ? [band(of(nights, last), low, high, "fit")] : [];
+  return [...banded, ...pieces.map((piece) => line(of(nights, piece), of(fitted, piece), "fit"))];
 }
 
 export function drifting(trend) {
