@@ -80,7 +80,7 @@ def cause_of(error: BaseException) -> str:
         known = BY_SQLITE_CODE.get(code & _PRIMARY_CODE) if isinstance(code, int) else _of_number(link)
         if known is not None:
             return known
-        link = link.__cause__ or link.__context__
+        link = link.__cause__ or (None if link.__suppress_context__ else link.__context__)
     import structlog  # noqa: PLC0415  commands that log nothing start without it
 
     structlog.get_logger("foreign_errors").warning("error of a library or of the operating system", error=repr(error))

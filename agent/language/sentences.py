@@ -18,8 +18,10 @@ PLACE: Final = re.compile(r"\{(\w+)\}")
 _WHOLE_ERROR: Final = re.compile(r"(?P<message>.+?) \((?P<places>[a-z_]+ [^()]+)\)(?:\. (?P<hint>.+))?", re.DOTALL)
 """Form of an error in one line: message, places and hint (`drivers.errors.VolcalError`)."""
 # neither part of a name, an address, a version or a path, nor followed by one of their signs
-_DECIMAL: Final = re.compile(r"(?<![\w./:])([+\-−]?\d+)\.(\d+)(?![\w./:]*[\w/:])")
-_INSTANT: Final = re.compile(r"\b(\d{4})-(\d{2})-(\d{2})(?:[T ](\d{2}:\d{2}(?::\d{2})?)(?:\.\d+)?)?(?![\dT-])")
+_DECIMAL: Final = re.compile(r"(?<![\w./:])(?<![^\W\d]-)([+\-−]?\d+)\.(\d+)(?![\w./:]*[\w/:])")
+_INSTANT: Final = re.compile(
+    r"(?<![\w./:-])(\d{4})-(\d{2})-(\d{2})(?:[T ](\d{2}:\d{2}(?::\d{2})?)(?:\.\d+)?|(?![\w./:-]*[\w/]))(?![\dT-])"
+)
 _SEPARATORS: Final = ("; ", ". ", ", ")
 _REMEMBERED: Final = 2000
 

@@ -81,6 +81,7 @@ def test_a_text_is_told_in_german_with_its_numbers(english: str, words: str) -> 
         ("2026-11-29T03:15:07Z", "29.11.2026 03:15:07Z"),
         ("2026-11-29 03:15 UTC", "29.11.2026 03:15 UTC"),
         ("1.25 ± 0.5 µm (−0.1 to +2.0)", "1,25 ± 0,5 µm (−0,1 to +2,0)"),
+        ("/srv/2026-11-29/artefact.toml, backup-2026-11-29.zip, mill-2.5", None),
         ("volcal 0.1.0 at 127.0.0.1:5021, table-1.5.csv, 20261129T031507Z-1f7a", None),
     ],
 )

@@ -5,11 +5,11 @@ import { languageNow } from "./language.js";
 const PLACE = /\{(\w+)\}/g;
 const WHOLE_ERROR = /^(?<message>.+?) \((?<places>[a-z_]+ [^()]+)\)(?:\. (?<hint>.+))?$/s;
 const SEPARATORS = ["; ", ". ", ", "];
-const DECIMAL = /(?<![\p{L}\p{N}_./:])([+\-−]?\d+)\.(\d+)(?![\p{L}\p{N}_./:]*[\p{L}\p{N}_/:])/gu;
-const INSTANT = /\b(\d{4})-(\d{2})-(\d{2})(?:[T ](\d{2}:\d{2}(?::\d{2})?)(?:\.\d+)?)?(?![\dT-])/g;
+const DECIMAL = /(?<![\p{L}\p{N}_./:])(?<![\p{L}_]-)([+\-−]?\d+)\.(\d+)(?![\p{L}\p{N}_./:]*[\p{L}\p{N}_/:])/gu;
+const INSTANT = /(?<![\p{L}\p{N}_./:-])(\d{4})-(\d{2})-(\d{2})(?:[T ](\d{2}:\d{2}(?::\d{2})?)(?:\.\d+)?|(?![\p{L}\p{N}_./:-]*[\p{L}\p{N}_/]))(?![\dT-])/gu;
 
 let sentences = [], catalogue = {};
-const remembered = new Map();
+const remembered = new Map(), MOST_REMEMBERED = 2000;
 
 export async function loadSentences() {
   catalogue = await (await fetch("/assets/german.json")).json();
@@ -36,6 +36,7 @@ const escaped = (text) => text.replaceAll(/[.*+?^${}()|[\]\\/-]/g, "\\$&");
 const eitherCaseFirst = (literal) => (/^\p{L}/u.test(literal) ? `[${literal[0].toUpperCase()}${literal[0].toLowerCase()}]${escaped(literal.slice(1))}` : escaped(literal));
 
 export function german(text) {
+  if (remembered.size >= MOST_REMEMBERED) remembered.clear();
   if (!remembered.has(text)) remembered.set(text, found(text) ?? composed(text) ?? withGermanNumbers(text));
   return remembered.get(text);
 }
