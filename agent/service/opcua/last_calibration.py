@@ -6,14 +6,9 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-import structlog
-
 from agent.errors import JournalFailed
 from agent.execution.journal_reader import has_journal, open_journal
 from agent.results.run_verdict import RunVerdict, run_figures, verdict_of
-from drivers.errors import VolcalError
-
-log = structlog.get_logger()
 
 
 @dataclass(frozen=True)
@@ -30,20 +25,17 @@ class CalibrationResult:
 
 def last_calibration(directory: Path) -> CalibrationResult | None:
     """Return the result of the latest run of the journal in `directory` that has ended and has stated a volumetric
-    error, or None if there is none. If the journal cannot be read, log the error and return None."""
+    error, or None if there is none. Raise JournalFailed if the journal cannot be read."""
     if not has_journal(directory):
         return None
-    try:
-        with open_journal(directory, JournalFailed) as reader:
-            for run in reader.latest_begun_runs():
-                figures = run_figures(reader.decision_records(run.run))
-                if run.ended is not None and (figures.ve_um is not None or figures.vce_um is not None):
-                    verdict = verdict_of(
-                        run.kind, run.state, ended=True, accepted=figures.accepted, decision=figures.decision
-                    )
-                    return CalibrationResult(
-                        run.run_id, datetime.fromisoformat(run.ended), figures.ve_um, figures.vce_um, verdict
-                    )
-    except VolcalError as error:
-        log.warning("result of the last calibration unknown", error=str(error))
+    with open_journal(directory, JournalFailed) as reader:
+        for run in reader.latest_begun_runs():
+            figures = run_figures(reader.decision_records(run.run))
+            if run.ended is not None and (figures.ve_um is not None or figures.vce_um is not None):
+                verdict = verdict_of(
+                    run.kind, run.state, ended=True, accepted=figures.accepted, decision=figures.decision
+                )
+                return CalibrationResult(
+                    run.run_id, datetime.fromisoformat(run.ended), figures.ve_um, figures.vce_um, verdict
+                )
     return None

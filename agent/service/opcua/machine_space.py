@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+import structlog
 from asyncua import ua
 from asyncua.common.instantiate_util import instantiate
 from asyncua.common.node import Node
@@ -44,6 +45,9 @@ from agent.service.opcua.machine_model import (
 from agent.service.opcua.model import ALARM_EVENT
 from agent.service.opcua.node_sets import load_node_sets
 from agent.settings.opcua import OpcUaSettings
+from drivers.errors import VolcalError
+
+log = structlog.get_logger()
 
 _MICROMETRE: Final = ua.EUInformation(
     NamespaceUri="http://www.opcfoundation.org/UA/units/un/cefact",
@@ -91,8 +95,12 @@ class MachineSpace:
         await self._alerts.init(self._type(ALERT), self._node(ALERTS))
 
     async def read_result(self) -> None:
-        """Read the result of the last calibration from the journal, in a thread."""
-        self._result = await asyncio.to_thread(last_calibration, self._state_directory)
+        """Read the result of the last calibration from the journal, in a thread. If the journal cannot be read, the
+        result that was read before stays."""
+        try:
+            self._result = await asyncio.to_thread(last_calibration, self._state_directory)
+        except VolcalError as error:
+            log.warning("result of the last calibration not read", error=str(error))
 
     async def show(self, status: Status) -> None:
         """Update the nodes that have changed since the last call."""
@@ -182,7 +190,8 @@ class MachineSpace:
 
     async def _show_state(self, machine: StateMachine, facts: Facts) -> None:
         name, awaited = machine.of(facts), machine.awaited(facts)
-        node_id, number = (None, None) if name is None else self._states[machine.path][name]
+        # another node set than the shipped one may lack a state: then its name is all that is shown
+        node_id, number = self._states[machine.path].get(name or "", (None, None))
         current = f"{machine.path}.CurrentState"
         await self._write(current, _data_value("LocalizedText", name, awaited))
         await self._write(f"{current}.Id", _data_value("NodeId", node_id, awaited))
