@@ -157,10 +157,10 @@ class Systemd:
             while message := self._listening.recv(4096):
                 self._messages.put(dict(line.split("=", 1) for line in message.decode().splitlines()))
 
-    def told_until(self, key: str) -> list[dict[str, str]]:
-        """Every message up to the first one that has `key`."""
+    def told_until(self, key: str, text: str = "") -> list[dict[str, str]]:
+        """Every message up to the first one that has `key` with a value that contains `text`."""
         messages = [self._messages.get(timeout=PATIENCE_S)]
-        while key not in messages[-1]:
+        while text not in messages[-1].get(key, "") or key not in messages[-1]:
             messages.append(self._messages.get(timeout=PATIENCE_S))
         return messages
 
