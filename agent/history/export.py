@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from datetime import datetime
 from typing import Any
 
-from agent.history.schema import RUNS, StoredRun, utc_time
+from agent.history.schema import RUNS, StoredRun, utc_text
 from agent.history.stored_rows import damage_of_history
 
 COLUMNS = tuple(column.key for column in RUNS.columns if column.key != "digest")
@@ -63,5 +63,5 @@ def _record(text: str) -> object:
 
 def _plain(value: object) -> object:
     if isinstance(value, datetime):
-        return utc_time(value).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+        return utc_text(value)
     return value

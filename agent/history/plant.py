@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from agent.history.recent_runs import RecentRun
-from agent.history.schema import utc_time
+from agent.history.schema import utc_text, utc_time
 from agent.history.series import BARE, CHANGED_MACHINE, TITLES, Series
 from agent.history.trends import Trend, trend_of
 from agent.results.run_verdict import RUNNING, Look, RunVerdict
@@ -78,7 +78,7 @@ class MachineSummary:
             "machine": self.machine,
             "run_id": self.last.run_id,
             "kind": self.last.kind,
-            "started": self.started.isoformat(timespec="milliseconds").replace("+00:00", "Z"),
+            "started": utc_text(self.last.started),
             "days": round(self.days, 2),
             "verdict": self.verdict.as_json(),
             "ve_um": self.ve_um,
@@ -94,8 +94,11 @@ def plant_summaries(
     runs: Sequence[RecentRun], now: datetime, running: tuple[str, str] | None = None
 ) -> tuple[MachineSummary, ...]:
     """Return the summaries of all machines, those that need attention first: by the verdict on the last run, then by
-    the days since then. `runs` are sorted by machine, the oldest run of a machine first. `running`
-    names the machine and the run that is known to be in progress, which the database does not say."""
+    the days since then.
+
+    `runs` are sorted by machine, the oldest run of a machine first. `running` names the machine and the run that is
+    known to be in progress, which the database does not say.
+    """
     found = [_summary(machine, list(of), now, running) for machine, of in groupby(runs, attrgetter("machine"))]
     return tuple(sorted(found, key=lambda one: (_URGENCY.index(one.verdict.look), -one.days, one.machine)))
 

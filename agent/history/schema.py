@@ -158,6 +158,11 @@ def utc_time(time: datetime) -> datetime:
     return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
 
 
+def utc_text(time: datetime) -> str:
+    """Return a stored time as the text of an instant in UTC, to the millisecond."""
+    return utc_time(time).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
 def _columns(row: type, keys: tuple[str, ...]) -> Iterator[Column[Any]]:
     """Yield a column for each field of `row` that has no default. The fields in `keys` form the primary key."""
     hints = get_type_hints(row, include_extras=True)

@@ -6,25 +6,18 @@ from collections.abc import Sequence
 from datetime import datetime
 from importlib import resources
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup
 
 from agent.history.plant import MachineSummary
+from agent.html_templates import html_template
 
 SPARK_WIDTH, SPARK_HEIGHT = 120.0, 24.0
 
 
 def plant_html(machines: Sequence[MachineSummary], database: str, now: datetime) -> str:
     """Return the page. `database` is the address of the history without its password, `now` the time of the reading."""
-    environment = Environment(
-        loader=PackageLoader("agent.reports", package_path=""),
-        autoescape=select_autoescape(["html"]),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     style = resources.files("agent.reports.page").joinpath("report.css").read_text(encoding="utf-8")
-    return environment.get_template("plant.html").render(
+    return html_template("agent.reports", "plant.html").render(
         css=Markup(style),  # noqa: S704  a file of this package
         rows=[(one, drift_text(one), spark_points(one)) for one in machines],
         database=database,

@@ -8,11 +8,11 @@ from __future__ import annotations
 from importlib import resources
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup
 
 from agent.errors import PlanRefused
 from agent.files import write_all_atomically
+from agent.html_templates import html_template
 from agent.planning.job import Job, Planner
 from agent.planning.preview.blob import embedded
 from agent.planning.preview.builder import preview_of
@@ -36,14 +36,7 @@ def write_preview(job: Job, plan_of: Planner, folder: Path, refused: PlanRefused
 
 def render_page(preview: Preview) -> str:
     """Return the HTML text of the page that shows `preview`. The text depends only on `preview`."""
-    environment = Environment(
-        loader=PackageLoader("agent.planning.preview", package_path=""),
-        autoescape=select_autoescape(["html"]),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("preview.html").render(
+    return html_template("agent.planning.preview", "preview.html").render(
         preview=preview,
         css=_own("preview.css"),
         data=Markup(embedded(preview)),  # noqa: S704  JSON without any <
