@@ -38,6 +38,10 @@ if TYPE_CHECKING:
     from twin.identification.options import Options as Options
     from twin.machine.machine_description import MachineDescription as MachineDescription
     from twin.machine.volumetric import VolumetricRms as VolumetricRms
+    from twin.workpiece.best_place import PlaceMap as PlaceMap
+    from twin.workpiece.features import Feature as Feature
+    from twin.workpiece.prediction import FeatureError as FeatureError
+    from twin.workpiece.prediction import FeaturePrediction as FeaturePrediction
     from volcal.compensation import CONTROLLER_FORMATS as CONTROLLER_FORMATS
     from volcal.compensation import compensation_table as compensation_table
     from volcal.compensation import export_table as export_table
@@ -69,6 +73,9 @@ if TYPE_CHECKING:
     from volcal.position_design import evaluate as evaluate
     from volcal.simulation import Simulation as Simulation
     from volcal.simulation import simulate as simulate
+    from volcal.workpiece import place_map as place_map
+    from volcal.workpiece import predict_features as predict_features
+    from volcal.workpiece import read_features as read_features
 
 _MODULES = {
     "volcal.files": (
@@ -94,6 +101,7 @@ _MODULES = {
         "RigidMotionUncertainty",
         "VolumetricErrors",
     ),
+    "volcal.workpiece": ("read_features", "predict_features", "place_map"),
     "volcal.position_design": ("design", "evaluate", "Design"),
     "volcal.simulation": ("simulate", "Simulation"),
     "volcal.compensation": ("compensation_table", "export_table", "CONTROLLER_FORMATS"),
@@ -109,6 +117,9 @@ _MODULES = {
     "twin.identification.estimate": ("Estimate",),
     "twin.formats.estimate_file": ("StoredEstimate",),
     "twin.machine.volumetric": ("VolumetricRms",),
+    "twin.workpiece.features": ("Feature",),
+    "twin.workpiece.prediction": ("FeaturePrediction", "FeatureError"),
+    "twin.workpiece.best_place": ("PlaceMap",),
     "twin.compensation.table": ("CompensationTable",),
     "twin.compensation.controllers.export_format": ("ControllerExport",),
     "twin.errors": ("TwinError", "ModelError", "DataError", "FormatError", "SingularSet"),

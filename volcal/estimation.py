@@ -61,6 +61,8 @@ class Prediction(Displayed):
         uncertainty in mm.
 
         The error is positive if the machine produces the distance too long. The alignment has no influence on it.
+        Errors of short wavelength count as independent at the two points, which is careful for distances below 400 mm:
+        `predict_features` counts what was seen of them.
         Raises DataError if the points coincide or if there is no point with one of the indices.
 
         >>> ends = volcal.predict(estimate, [[500.0, 650.0, 750.0], [3500.0, 650.0, 750.0]])

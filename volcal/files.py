@@ -54,7 +54,7 @@ def read_machine(path: PathName) -> MachineDescription:
     >>> machine.tool("probe")
     array([  0., 250.,   0.])
     """
-    return parse_machine(_text(path), str(path), _beside(path))
+    return parse_machine(text_of(path), str(path), _beside(path))
 
 
 def read_artefact(path: PathName) -> Artefact:
@@ -68,7 +68,7 @@ def read_artefact(path: PathName) -> Artefact:
     >>> artefact.count
     11
     """
-    return parse_artefact(_text(path), str(path), _beside(path))
+    return parse_artefact(text_of(path), str(path), _beside(path))
 
 
 def read_balls(path: PathName, machine: MachineDescription) -> BallFile:
@@ -81,7 +81,7 @@ def read_balls(path: PathName, machine: MachineDescription) -> BallFile:
     >>> balls.observations.size, len(balls.positions)
     (260, 24)
     """
-    return parse_balls(_text(path), str(path), machine.tools, travel=machine.limits)
+    return parse_balls(text_of(path), str(path), machine.tools, travel=machine.limits)
 
 
 def read_positions(path: PathName) -> tuple[Position, ...]:
@@ -93,7 +93,7 @@ def read_positions(path: PathName) -> tuple[Position, ...]:
     >>> volcal.read_positions(volcal.shipped_file("linuxcnc/few-positions.csv"))[0]
     Position(station=1, azimuth_deg=0.0, elevation_deg=45.0, tool=None, balls=None)
     """
-    return parse_positions(_text(path), str(path))
+    return parse_positions(text_of(path), str(path))
 
 
 def read_estimate(path: PathName) -> StoredEstimate:
@@ -102,7 +102,7 @@ def read_estimate(path: PathName) -> StoredEstimate:
     The file was written by the command `volcal identify`, by a calibration run, or by `write_estimate`. Raises
     FormatError, which names file and key, if the file is invalid.
     """
-    return parse_estimate(_text(path), str(path))
+    return parse_estimate(text_of(path), str(path))
 
 
 def read_table(path: PathName) -> CompensationTable:
@@ -112,7 +112,7 @@ def read_table(path: PathName) -> CompensationTable:
     raised if the checksum in the side file does not match the table.
     """
     side = Path(path).with_suffix(".json")
-    return parse_table(_text(path), _text(side), str(path), str(side))
+    return parse_table(text_of(path), text_of(side), str(path), str(side))
 
 
 def write_balls(balls: BallFile, machine: MachineDescription, path: PathName) -> Path:
@@ -145,7 +145,7 @@ def write_table(table: CompensationTable, path: PathName) -> Path:
     return _write(path, format_table(table))
 
 
-def _text(path: PathName) -> str:
+def text_of(path: PathName) -> str:
     """Return the text of a UTF-8 file. If there is only a compressed file, whose name has the further ending `.gz`, its
     text is returned. Raises FormatError with the path if the file cannot be read."""
     try:
@@ -171,7 +171,7 @@ def _content(path: Path) -> bytes:
 
 def _beside(path: PathName) -> Callable[[str], str]:
     """Return a function that reads files whose names are relative to `path`."""
-    return lambda name: _text(Path(path).parent / name)
+    return lambda name: text_of(Path(path).parent / name)
 
 
 def _write(path: PathName, text: str) -> Path:

@@ -19,6 +19,7 @@ PREAMBLE = """\
 >>> setup = volcal.case_study()
 >>> balls = volcal.read_balls(volcal.shipped_file("examples/case-study-balls.csv"), setup.machine)
 >>> estimate = volcal.identify(balls, setup.machine, setup.artefact, order=5)
+>>> features = volcal.read_features(volcal.shipped_file("examples/bearing-plate.csv"))
 >>> folder = "results"
 """
 
@@ -35,6 +36,7 @@ SECTIONS = {
     "volcal.files": "Files",
     "volcal.measuring_setup": "Set-ups",
     "volcal.estimation": "Identification and prediction",
+    "volcal.workpiece": "Workpieces",
     "volcal.position_design": "Design",
     "volcal.simulation": "Simulation",
     "volcal.compensation": "Compensation",

@@ -111,6 +111,11 @@ OWN_COMMANDS = {
         "agent.cli.run_commands.plan:plan_command",
         "Run the preflight of the whole procedure: limits, collisions, minutes and the expected VCE.",
     ),
+    "predict": OwnCommand(
+        "agent.cli.offline_commands.predict:predict_command",
+        "Predict the errors of the features of a workpiece, with their uncertainty, and say which will conform.",
+        logs=False,
+    ),
     "report": OwnCommand(
         "agent.cli.report:report_command",
         "Write the report of RUN (its identity, or `last`) from the journal alone, whatever the outcome of the run.",

@@ -30,7 +30,10 @@ SMALL = {
     "a role, apart from the processes that play it": ("agent.reports.renderer",),
     "sqlite3 is confined to the journal's own modules": ("agent.execution.journal_copy",),
     "it logs, and the rest of its room does not": ("agent.history.feed",),
-    "it imports matplotlib, which the library loads only for a figure": ("volcal.notebook_figure",),
+    "it imports matplotlib, which is loaded only for a figure": (
+        "agent.workpiece.place_figure",
+        "volcal.notebook_figure",
+    ),
     "one step of the run, beside its siblings": ("agent.runs.resume.abandon",),
     "one step of the report, after all that draws": ("agent.reports.page.german",),
 }

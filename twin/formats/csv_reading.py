@@ -59,12 +59,12 @@ def csv_lines(text: str, source: str) -> Iterator[tuple[int, list[str]]]:
         raise FormatError(f"this is not valid CSV: {error}", hint=hint, file=source, row=lines.line_num) from None
 
 
-def read_rows(text: str, source: str, columns: Sequence[str]) -> Iterator[CsvRow]:
-    """Yield the rows of a CSV text. The header must contain exactly the names in `columns`, in any order. Blank lines
-    are skipped."""
+def read_rows(text: str, source: str, columns: Sequence[str], optional: Sequence[str] = ()) -> Iterator[CsvRow]:
+    """Yield the rows of a CSV text. The header must contain the names in `columns` and may contain those in `optional`,
+    in any order. The cells of an optional column that is missing are empty. Blank lines are skipped."""
     lines = csv_lines(text, source)
     header = [name.strip() for name in next(lines, (1, []))[1]]
-    _check_header(header, source, columns)
+    _check_header(header, source, columns, optional)
     for number, cells in lines:
         if not any(cell.strip() for cell in cells):
             continue
@@ -72,15 +72,18 @@ def read_rows(text: str, source: str, columns: Sequence[str]) -> Iterator[CsvRow
             message = f"{len(cells)} values, but the header names {len(header)} columns"
             raise FormatError(message, file=source, row=number)
         named = {name: cell.strip() for name, cell in zip(header, cells, strict=True)}
-        yield CsvRow(source, number, named)
+        yield CsvRow(source, number, {**dict.fromkeys(optional, ""), **named})
 
 
-def _check_header(header: list[str], source: str, columns: Sequence[str]) -> None:
+def _check_header(header: list[str], source: str, columns: Sequence[str], optional: Sequence[str]) -> None:
     hint = f"The first line must be {','.join(columns)}"
+    if optional:
+        hint += f", and may go on with {','.join(optional)}"
     for name in columns:
         if header.count(name) != 1:
             problem = "is missing" if name not in header else "appears more than once"
             raise FormatError(f"column '{name}' {problem}", hint=hint, file=source, row=1, column=name)
     for name in header:
-        if name not in columns:
-            raise FormatError(f"unknown column '{name}'", hint=hint, file=source, row=1, column=name)
+        if name not in columns and (name not in optional or header.count(name) > 1):
+            problem = "appears more than once" if name in optional else "is not known"
+            raise FormatError(f"column '{name}' {problem}", hint=hint, file=source, row=1, column=name)

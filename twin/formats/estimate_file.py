@@ -30,6 +30,7 @@ from twin.identification import (
     DriftFactor,
     Estimate,
     EstimatedShift,
+    Misfit,
     PatternTest,
     Scales,
     StepInRun,
@@ -278,6 +279,17 @@ class StoredEstimate(Displayed):
 
     def __repr__(self) -> str:
         return f"<StoredEstimate: {len(self.parameters)} parameters>"
+
+    @property
+    def misfit(self) -> Misfit | None:
+        """Estimated part of the error field that the error model cannot represent; None if it was not estimated."""
+        unresolved_mm2 = self.unknowns.unresolved_mm2(self.document.scales.scales)
+        return Misfit.of(self.unknowns, self.z, self.z_covariance, unresolved_mm2)
+
+    @property
+    def scatter_mm2(self) -> float:
+        """Variance in mm² per direction by which the ball centres scatter beyond their stated noise."""
+        return self.unknowns.scatter_mm2(self.document.scales.scales)
 
     @property
     def certificate_check(self) -> tuple[BallCheck, ...]:

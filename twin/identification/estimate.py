@@ -46,6 +46,22 @@ class Misfit:
     cross_covariance: Array
     unresolved_mm2: float = 0.0
 
+    @classmethod
+    def of(cls, unknowns: Unknowns, z: Array, z_covariance: Array, unresolved_mm2: float) -> Misfit | None:
+        """Return the misfit that the values `z` (P,) of all `unknowns` and their covariance (P, P) contain; None if it
+        was not estimated."""
+        if unknowns.modes is None:
+            return None
+        own, misfit = unknowns.blocks.parameters, unknowns.blocks.misfit
+        return cls(
+            modes=unknowns.modes,
+            amplitude_mm=unknowns.misfit_mm,
+            coefficients=z[misfit],
+            covariance=z_covariance[misfit, misfit],
+            cross_covariance=unknowns.scale[:, None] * z_covariance[own, misfit],
+            unresolved_mm2=unresolved_mm2,
+        )
+
     def field(self, axis_positions: Array) -> Array:
         """Return the expected misfit (n, 3) in mm at axis positions (n, 3)."""
         return np.asarray(self.amplitude_mm * (self.modes.at(axis_positions) @ self.coefficients))
@@ -125,6 +141,11 @@ class Estimate(Displayed):
             self.trend,
         )
         return known if process_noise is None else known.after(process_noise, nights)
+
+    @property
+    def scatter_mm2(self) -> float:
+        """Variance in mm² per direction by which the ball centres scatter beyond their stated noise."""
+        return self.unknowns.scatter_mm2(self.scales)
 
     @cached_property
     def certificate_check(self) -> tuple[BallCheck, ...]:

@@ -311,7 +311,7 @@ def _estimate(selection: _RowSelection, options: Options) -> Estimate:
         rejected=tuple(named),
         scales=solution.scales,
         tool_offsets=seen.used_tool_offsets,
-        misfit=_misfit(whole, solution, z, covariance),
+        misfit=Misfit.of(whole.unknowns, z, covariance, _unresolved_mm2(whole.unknowns, solution)),
         information=solution.equations.matrix[block, block],
         unknowns=replace(unknowns, drift=None, shifts=()),
         z=z,
@@ -402,21 +402,6 @@ def _in_state(state: Array | None, z: Array, covariance: Array) -> tuple[Array, 
 def _drift(whole: IdentificationProblem, solution: Solution) -> DriftEstimate | None:
     drift, block = whole.unknowns.drift, whole.blocks.drift
     return None if drift is None else DriftEstimate(drift, solution.z[block], solution.covariance[block, block])
-
-
-def _misfit(whole: IdentificationProblem, solution: Solution, z: Array, covariance: Array) -> Misfit | None:
-    unknowns = whole.unknowns
-    if unknowns.modes is None:
-        return None
-    own, misfit = whole.blocks.parameters, whole.blocks.misfit
-    return Misfit(
-        modes=unknowns.modes,
-        amplitude_mm=unknowns.misfit_mm,
-        coefficients=z[misfit],
-        covariance=covariance[misfit, misfit],
-        cross_covariance=unknowns.scale[:, None] * covariance[own, misfit],
-        unresolved_mm2=_unresolved_mm2(unknowns, solution),
-    )
 
 
 def _unresolved_mm2(unknowns: Unknowns, solution: Solution) -> float:

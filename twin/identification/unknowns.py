@@ -223,7 +223,12 @@ class Unknowns:
         if self.modes is None:
             return 0.0
         left_out = self.misfit_mm**2 * float(self.modes.left_out @ np.square(scales.kinds))
-        return max(left_out, (scales.noise**2 - 1.0) * self.stated_noise_mm2)
+        return max(left_out, self.scatter_mm2(scales))
+
+    def scatter_mm2(self, scales: Scales) -> float:
+        """Return the variance, in mm² for each direction, by which the ball centres scatter beyond their stated
+        noise."""
+        return max(scales.noise**2 - 1.0, 0.0) * self.stated_noise_mm2
 
     def physical_covariance(self, unit: Array) -> Array:
         """Return the covariance (p, p) of the parameters in mm and rad. `unit` (p, p) is the covariance of the same

@@ -76,18 +76,7 @@ class JournalEstimate(StoredEstimate):
     @property
     def misfit(self) -> Misfit | None:
         """Estimated part of the error field that the error model cannot represent; None if it was not estimated."""
-        unknowns = self.unknowns
-        if unknowns.modes is None:
-            return None
-        own, misfit = unknowns.blocks.parameters, unknowns.blocks.misfit
-        return Misfit(
-            modes=unknowns.modes,
-            amplitude_mm=unknowns.misfit_mm,
-            coefficients=self.z[misfit],
-            covariance=self.z_covariance[misfit, misfit],
-            cross_covariance=unknowns.scale[:, None] * self.z_covariance[own, misfit],
-            unresolved_mm2=self.unresolved_mm2,
-        )
+        return Misfit.of(self.unknowns, self.z, self.z_covariance, self.unresolved_mm2)
 
 
 ReportedEstimate: TypeAlias = Estimate | JournalEstimate

@@ -1,0 +1,202 @@
+"""Command `volcal predict`, which predicts the errors of the features of a workpiece and says which will conform to
+their tolerances.
+
+The command contacts no device.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from math import degrees, radians
+from pathlib import Path
+
+import click
+
+from agent.cli.errors import reported
+from agent.cli.invocation import will_run
+from agent.cli.options import PATH
+
+if will_run():
+    from rich.console import Console
+    from rich.markup import escape
+
+    from agent.cli.printing import columns_table, results_console
+    from agent.files import write_all_atomically, write_atomically
+    from agent.workpiece.predicted_features import RULE, PredictedFeatures, PredictionRequest, csv_lines, predict_file
+    from twin.units import UM_PER_MM
+    from twin.workpiece.best_place import PlaceMap
+    from twin.workpiece.conformity import Conformity
+    from twin.workpiece.features import Feature, Measure, Tolerance
+    from twin.workpiece.placement import Placement
+    from twin.workpiece.prediction import FeatureError
+
+BEST = "best"
+_COLOURS = {"conforms": "green", "does not conform": "red", "undecided": "yellow", "no tolerance": "default"}
+_PICTURES = (".png", ".svg")
+
+
+def _triple(_: click.Context, parameter: click.Parameter, text: str | None) -> tuple[float, float, float] | None:
+    """Parse three numbers in mm; the word `best` is None."""
+    if text is None or (parameter.name == "origin" and text.strip().lower() == BEST):
+        return None
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        also = f", or the word {BEST}" if parameter.name == "origin" else ""
+        raise click.BadParameter(f"'{text}' is not X,Y,Z in mm, such as 100,200,-50.5{also}") from None
+    if not all(abs(number) < 1e6 for number in (x, y, z)):
+        raise click.BadParameter(f"'{text}' is no place on a machine tool")
+    return x, y, z
+
+
+def _picture(_: click.Context, __: click.Parameter, path: Path | None) -> Path | None:
+    if path is not None and path.suffix.lower() not in _PICTURES:
+        raise click.BadParameter(f"'{path.name}' must end in {' or '.join(_PICTURES)}")
+    return path
+
+
+@click.command("predict")
+@click.argument("features", type=PATH, metavar="FEATURES.csv")
+@click.option(
+    "--estimate", type=PATH, required=True, help="estimate.json, or the folder of a run or of `volcal identify`."
+)
+@click.option("--table", type=PATH, metavar="TABLE.csv", help="Table [default: table.csv beside the estimate].")
+@click.option("--no-table", is_flag=True, help="Predict the machine without compensation only.")
+@click.option(
+    "--at",
+    "origin",
+    callback=_triple,
+    required=True,
+    metavar="X,Y,Z|best",
+    help="Place of the workpiece's origin in mm, for the tip of the tool, or `best` for the place with the smallest "
+    "errors.",
+)
+@click.option(
+    "--height", type=click.FloatRange(-1e5, 1e5), metavar="MM", help="With --at best: Z of the workpiece's origin."
+)
+@click.option(
+    "--turned-deg",
+    type=click.FloatRange(-360.0, 360.0),
+    default=0.0,
+    help="Turn of the workpiece about Z [default: 0].",
+)
+@click.option(
+    "--tool-offset",
+    callback=_triple,
+    metavar="X,Y,Z",
+    help="Offset of the tool that machines the workpiece, in mm [default: that of the table].",
+)
+@click.option(
+    "--map", "map_file", type=PATH, callback=_picture, help="Picture of the errors at other places: .png, .svg."
+)
+@click.option("-o", "--out", type=PATH, metavar="OUT.csv", help="Write the predictions to a CSV file as well.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout instead of a table.")
+@reported
+def predict_command(
+    *,
+    features: Path,
+    estimate: Path,
+    table: Path | None,
+    no_table: bool,
+    origin: tuple[float, float, float] | None,
+    height: float | None,
+    turned_deg: float,
+    tool_offset: tuple[float, float, float] | None,
+    map_file: Path | None,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Predict the errors of the features of a workpiece, with their uncertainty, and say which will conform.
+
+    FEATURES.csv contains the points, distances, diameters, positions of holes and faces of a drawing, with their
+    tolerances: see docs/reference/files.md. Exit code 4 means that a feature does not conform, or that nothing can be
+    said about it, with the table if there is one.
+    """
+    if table is not None and no_table:
+        raise click.UsageError("--table and --no-table exclude each other")
+    if (origin is None) != (height is not None):
+        raise click.UsageError("--height belongs to --at best, which needs it")
+    found = predict_file(
+        PredictionRequest(
+            features=features,
+            estimate=estimate,
+            table=table,
+            without_table=no_table,
+            origin_mm=origin,
+            height_mm=height or 0.0,
+            turned_rad=radians(turned_deg),
+            tool_offset_mm=tool_offset,
+            with_map=map_file is not None,
+        )
+    )
+    if out is not None:
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows(csv_lines(found.predictions))
+        write_atomically(out, text.getvalue())
+    if map_file is not None and found.places is not None:
+        _write_map(found.places, found.placement, map_file)
+    if as_json:
+        click.echo(json.dumps(found.as_json(), allow_nan=False))
+    else:
+        _show(found, results_console())
+    if not all(_decided(one.with_table or one.without_table) for one in found.predictions):
+        raise SystemExit(4)
+
+
+def _decided(error: FeatureError) -> bool:
+    return error.conformity in {Conformity.CONFORMS, Conformity.NO_TOLERANCE}
+
+
+def _write_map(places: PlaceMap, placement: Placement, file: Path) -> None:
+    from agent.workpiece.place_figure import draw_places  # noqa: PLC0415  matplotlib takes a second to import
+
+    drawn = draw_places(places, placement, f"turned by {degrees(placement.turned_rad):g}°")
+    content = drawn.png if file.suffix.lower() == ".png" else drawn.svg
+    write_all_atomically(file.parent, {file.name: content})
+
+
+def _show(found: PredictedFeatures, console: Console) -> None:
+    x, y, z = found.placement.origin_mm
+    console.print(
+        f"Origin of the workpiece at X {x:.1f}, Y {y:.1f}, Z {z:.1f} mm, turned by "
+        f"{degrees(found.placement.turned_rad):g}°; "
+        + (f"table {found.table}" if found.table is not None else "no table"),
+        markup=False,
+    )
+    states = ("without table", "with table") if found.table is not None else ("without table",)
+    headings = ["feature", "kind", "tolerance / µm"]
+    for state in states:
+        headings += [f"{state} / µm", "U (k = 2)", "conformity"]
+    shown = columns_table(
+        headings, whole=("feature",), numbers=[name for name in headings if "/ µm" in name or name == "U (k = 2)"]
+    )
+    for one in found.predictions:
+        limits = one.feature.tolerance
+        cells = [escape(one.feature.name), one.feature.kind.value, _limits_text(limits)]
+        for error in (one.without_table, one.with_table):
+            if error is not None:
+                colour = _COLOURS[error.conformity.value]
+                cells += [
+                    _error_text(one.feature, error),
+                    f"{UM_PER_MM * error.expanded_mm:.2f}",
+                    f"[{colour}]{error.conformity.value}[/{colour}]",
+                ]
+        shown.add_row(*cells)
+    console.print(shown)
+    console.print(f"Decision rule: {RULE}. Only the geometry of the machine is predicted.", markup=False)
+
+
+def _error_text(feature: Feature, error: FeatureError) -> str:
+    signed = feature.measure is Measure.SIGNED
+    return f"{UM_PER_MM * error.expected_mm:{'+' if signed else ''}.2f}"
+
+
+def _limits_text(limits: Tolerance | None) -> str:
+    if limits is None:
+        return ""
+    if limits.lower_mm is None or limits.upper_mm is None:
+        sign, value_mm = ("≤", limits.upper_mm) if limits.lower_mm is None else ("≥", limits.lower_mm)
+        return f"{sign} {UM_PER_MM * (value_mm or 0.0):g}"
+    return f"{UM_PER_MM * limits.lower_mm:g} to {UM_PER_MM * limits.upper_mm:g}"

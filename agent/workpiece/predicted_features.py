@@ -1,0 +1,176 @@
+"""Predicted errors of the features of a workpiece, from an estimate, a table and a feature file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import degrees
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agent.files import present_file, read_text, translated
+from drivers.errors import InputError
+from twin.arrays import Array
+from twin.compensation.table import CompensationTable
+from twin.compensation.table_file import parse_table
+from twin.formats.estimate_file import StoredEstimate, parse_estimate
+from twin.units import UM_PER_MM
+from twin.workpiece.best_place import PlaceMap, place_map
+from twin.workpiece.feature_file import parse_features
+from twin.workpiece.placement import Placement
+from twin.workpiece.prediction import FeatureError, FeaturePrediction, predict_features
+
+ESTIMATE_NAME, TABLE_NAME = "estimate.json", "table.csv"
+RULE = "ISO 14253-1 with the guard band U (k = 2)"
+
+
+@dataclass(frozen=True)
+class PredictionRequest:
+    """Files and place of a prediction.
+
+    `estimate` is an estimate file, or the folder of a run or of `volcal identify`. The table beside it is taken too,
+    unless `table` names another one or `without_table` is True. `origin_mm` is the place of the origin of the workpiece
+    in the coordinates of the machine, and None for the best place on the table; its height is then `height_mm`.
+    `tool_offset_mm` is None for the tool of the table or of the measurement. If `with_map` is True, the errors at other
+    places are computed as well.
+    """
+
+    features: Path
+    estimate: Path
+    table: Path | None
+    without_table: bool
+    origin_mm: tuple[float, float, float] | None
+    height_mm: float
+    turned_rad: float
+    tool_offset_mm: tuple[float, float, float] | None
+    with_map: bool
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedFeatures:
+    """Predicted errors of the features at `placement`. `table` is the file of the table, and None without one. `places`
+    contains the errors at other places, if they were wanted."""
+
+    predictions: tuple[FeaturePrediction, ...]
+    placement: Placement
+    tool_offset_mm: Array
+    table: Path | None
+    places: PlaceMap | None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the prediction as a JSON object, with errors in µm."""
+        return {
+            "rule": RULE,
+            "origin_mm": self.placement.origin_mm.tolist(),
+            "turned_deg": degrees(self.placement.turned_rad),
+            "tool_offset_mm": self.tool_offset_mm.tolist(),
+            "table": None if self.table is None else str(self.table),
+            "features": [
+                {
+                    "name": one.feature.name,
+                    "kind": one.feature.kind.value,
+                    "lower_um": _um(None if one.feature.tolerance is None else one.feature.tolerance.lower_mm),
+                    "upper_um": _um(None if one.feature.tolerance is None else one.feature.tolerance.upper_mm),
+                    "without_table": error_document(one.without_table),
+                    "with_table": None if one.with_table is None else error_document(one.with_table),
+                }
+                for one in self.predictions
+            ],
+            "places": None if self.places is None else _places_document(self.places),
+        }
+
+
+def predict_file(request: PredictionRequest) -> PredictedFeatures:
+    """Return the predicted errors of the features in a file.
+
+    Raises InputError, which names the file and the row, column or key, if a file is invalid, or if the workpiece cannot
+    be reached where it stands.
+    """
+    estimate = _estimate(request.estimate)
+    table_file = _table_file(request)
+    table = None if table_file is None else _table(table_file)
+    with translated(file=str(request.features)):
+        features = parse_features(read_text(request.features), str(request.features))
+        offset = _tool_offset(request, estimate, table)
+        placement = Placement(np.array(request.origin_mm or (0.0, 0.0, request.height_mm)), request.turned_rad)
+        places = None
+        if request.with_map or request.origin_mm is None:
+            places = place_map(estimate, features, placement, offset, table)
+        if request.origin_mm is None and places is not None:
+            placement = places.best_placement
+        predictions = predict_features(estimate, features, placement, offset, table)
+    return PredictedFeatures(predictions, placement, offset, table_file, places)
+
+
+def error_document(error: FeatureError) -> dict[str, Any]:
+    """Return a predicted error as a JSON object, in µm."""
+    return {
+        "expected_um": _um(error.expected_mm),
+        "expanded_um": _um(error.expanded_mm),
+        "low_um": _um(error.low_mm),
+        "high_um": _um(error.high_mm),
+        "conformity": error.conformity.value,
+    }
+
+
+def csv_lines(predictions: tuple[FeaturePrediction, ...]) -> Iterator[list[str]]:
+    """Yield the header and the rows of a CSV file with the predictions, in µm."""
+    columns = ("expected_um", "expanded_um", "low_um", "high_um", "conformity")
+    yield ["name", "kind", *(f"{column}_{state}" for state in ("without_table", "with_table") for column in columns)]
+    for one in predictions:
+        cells = [one.feature.name, one.feature.kind.value]
+        for error in (one.without_table, one.with_table):
+            document = {} if error is None else error_document(error)
+            cells += [str(document.get(column, "")) for column in columns]
+        yield cells
+
+
+def _um(value_mm: float | None) -> float | None:
+    return None if value_mm is None else round(UM_PER_MM * value_mm, 4)
+
+
+def _places_document(places: PlaceMap) -> dict[str, Any]:
+    return {
+        "x_mm": places.x_mm.tolist(),
+        "y_mm": places.y_mm.tolist(),
+        "z_mm": places.z_mm,
+        "unit": "share of the tolerance" if places.of_tolerance else "µm",
+        "largest": places.criterion.tolist(),
+        "best_mm": places.best_placement.origin_mm.tolist(),
+    }
+
+
+def _estimate(path: Path) -> StoredEstimate:
+    file = path / ESTIMATE_NAME if path.is_dir() else path
+    with translated(file=str(file)):
+        return parse_estimate(read_text(file), str(file))
+
+
+def _table_file(request: PredictionRequest) -> Path | None:
+    if request.without_table:
+        return None
+    if request.table is not None:
+        return request.table
+    beside = (request.estimate if request.estimate.is_dir() else request.estimate.parent) / TABLE_NAME
+    return beside if present_file(beside).exists() else None
+
+
+def _table(path: Path) -> CompensationTable:
+    side = path.with_suffix(".json")
+    with translated(file=str(path)):
+        return parse_table(read_text(path), read_text(side), str(path), str(side))
+
+
+def _tool_offset(request: PredictionRequest, estimate: StoredEstimate, table: CompensationTable | None) -> Array:
+    if request.tool_offset_mm is not None:
+        return np.array(request.tool_offset_mm)
+    if table is not None:
+        return table.tool_offset
+    if len(estimate.tool_offsets) != 1:
+        raise InputError(
+            f"the estimate was measured with {len(estimate.tool_offsets)} tools",
+            hint="state the one of the workpiece with --tool-offset",
+        )
+    return np.asarray(estimate.tool_offsets[0])

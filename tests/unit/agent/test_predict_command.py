@@ -1,0 +1,94 @@
+"""`volcal predict` from files: figures, verdicts, picture and exit codes, and words for what cannot be predicted."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+import volcal
+from agent.cli.offline_commands.predict import predict_command
+
+PLATE = volcal.shipped_file("examples/bearing-plate.csv")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with an estimate and a table, as `volcal identify` writes it."""
+    setup, path = volcal.case_study(), tmp_path_factory.mktemp("identified")
+    balls = volcal.read_balls(volcal.shipped_file("examples/case-study-balls.csv"), setup.machine)
+    estimate = volcal.identify(balls, setup.machine, setup.artefact, order=5)
+    volcal.write_estimate(estimate, path / "estimate.json")
+    volcal.write_table(volcal.compensation_table(estimate, balls), path / "table.csv")
+    return path
+
+
+def predict(*arguments: object) -> Result:
+    return CliRunner().invoke(predict_command, [str(argument) for argument in arguments], catch_exceptions=False)
+
+
+def test_the_table_and_the_library_agree(folder: Path, tmp_path: Path) -> None:
+    out, picture = tmp_path / "out.csv", tmp_path / "places.png"
+    done = predict(PLATE, "--estimate", folder, "--at", "1000,500,400", "--json", "-o", out, "--map", picture)
+    found = json.loads(done.stdout)
+    assert done.exit_code == 0
+    assert found["table"] == str(folder / "table.csv")
+    library = volcal.predict_features(
+        volcal.read_estimate(folder / "estimate.json"),
+        volcal.read_features(PLATE),
+        found["origin_mm"],
+        table=volcal.read_table(folder / "table.csv"),
+    )
+    for one, stated in zip(library, found["features"], strict=True):
+        assert one.with_table is not None
+        assert stated["name"] == one.feature.name
+        assert stated["with_table"]["expected_um"] == pytest.approx(1e3 * one.with_table.expected_mm, abs=1e-4)
+        assert stated["without_table"]["expanded_um"] == pytest.approx(1e3 * one.without_table.expanded_mm, abs=1e-4)
+    rows = list(csv.DictReader(out.read_text(encoding="utf-8").splitlines()))
+    assert [row["name"] for row in rows] == [one.feature.name for one in library]
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    shown = predict(PLATE, "--estimate", folder / "estimate.json", "--at", "1000,500,400").stdout
+    assert all(one.feature.name in shown for one in library)
+    assert "ISO 14253-1" in shown
+
+
+def test_without_the_table_something_stays_undecided(folder: Path) -> None:
+    done = predict(PLATE, "--estimate", folder, "--no-table", "--at", "1000,500,400", "--json")
+    found = json.loads(done.stdout)
+    assert done.exit_code == 4
+    assert found["table"] is None
+    assert "undecided" in {one["without_table"]["conformity"] for one in found["features"]}
+
+
+def test_the_best_place_is_no_worse_than_another(folder: Path) -> None:
+    best = json.loads(predict(PLATE, "--estimate", folder, "--at", "best", "--height", 400, "--json").stdout)
+    assert best["origin_mm"] == best["places"]["best_mm"]
+    assert min(map(min, best["places"]["largest"])) < 1.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["--at", "5000,500,400"], 2, "Place the workpiece elsewhere"),
+        (["--at", "here"], 2, "'here' is not X,Y,Z in mm"),
+        (["--at", "best"], 2, "--height belongs to --at best"),
+        (["--at", "1000,500,400", "--height", "3"], 2, "--height belongs to --at best"),
+        (["--at", "1000,500,400", "--map", "places.pdf"], 2, "must end in .png or .svg"),
+        (["--at", "1000,500,400", "--table", "missing.csv"], 2, "there is no such file"),
+        (["--at", "1000,500,400", "--table", "t.csv", "--no-table"], 2, "exclude each other"),
+    ],
+)
+def test_what_cannot_be_predicted_is_said(folder: Path, arguments: list[str], code: int, said: str) -> None:
+    done = predict(PLATE, "--estimate", folder, *arguments)
+    assert done.exit_code == code
+    assert said in done.output
+
+
+def test_an_estimate_that_is_none_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "estimate.json").write_text("{}", encoding="utf-8")
+    done = predict(PLATE, "--estimate", tmp_path, "--at", "1000,500,400")
+    assert done.exit_code == 2
+    assert str(tmp_path / "estimate.json") in done.output

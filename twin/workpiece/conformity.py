@@ -1,0 +1,31 @@
+"""Decision rule for a predicted error and a tolerance, after ISO 14253-1 with the guard band U (k = 2).
+
+A feature is stated to conform only if the probability that its error is outside the tolerance is at most 2.5 %, and
+stated not to conform only if the probability that it is inside is at most 2.5 %. For an error with a normal
+distribution and one limit, this is the guard band of the expanded uncertainty: conformity is stated up to the limit
+minus 1.96 standard uncertainties. In between, nothing is stated.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+MAXIMUM_RISK = 0.025
+"""Largest probability of a wrong statement about one feature."""
+
+
+class Conformity(StrEnum):
+    """Statement about a feature and its tolerance."""
+
+    CONFORMS = "conforms"
+    DOES_NOT_CONFORM = "does not conform"
+    UNDECIDED = "undecided"
+    NO_TOLERANCE = "no tolerance"
+
+
+def decide(least_inside: float, most_inside: float) -> Conformity:
+    """Return what may be stated about an error that lies inside its tolerance with a probability between
+    `least_inside` and `most_inside`."""
+    if 1.0 - least_inside <= MAXIMUM_RISK:
+        return Conformity.CONFORMS
+    return Conformity.DOES_NOT_CONFORM if most_inside <= MAXIMUM_RISK else Conformity.UNDECIDED
