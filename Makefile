@@ -32,7 +32,8 @@ quick: setup
 # Property and statistical tests with many more examples and machines than the check tries. An hour of CPU time.
 long-forms: setup
 	$(BIN)/python -m pytest --hypothesis-profile=long --numprocesses auto --dist loadfile \
-		tests/property/test_small_machines.py tests/property/test_design_minutes.py tests/truth/test_verified_steps.py
+		tests/property/test_small_machines.py tests/property/test_design_minutes.py tests/truth/test_verified_steps.py \
+		tests/system/test_demo_cases.py
 
 lint: setup
 	$(BIN)/ruff check .
