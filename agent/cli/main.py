@@ -48,6 +48,11 @@ class OwnCommand(NamedTuple):
 
 
 OWN_COMMANDS = {
+    "acceptance": OwnCommand(
+        "agent.cli.offline_commands.acceptance:acceptance_command",
+        "Predict what a laser and a ballbar will show: the figures of ISO 230, each with its uncertainty.",
+        logs=False,
+    ),
     "abort": OwnCommand(
         "agent.cli.service_commands.requests:abort_command",
         "Stop the run, withdraw the probe and restore the previous table.",

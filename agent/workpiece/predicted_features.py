@@ -10,19 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from agent.files import present_file, read_text, translated
-from drivers.errors import InputError
+from agent.files import read_text, translated
+from agent.workpiece.estimate_and_table import read_estimate_and_table
 from twin.arrays import Array
-from twin.compensation.table import CompensationTable
-from twin.compensation.table_file import parse_table
-from twin.formats.estimate_file import StoredEstimate, parse_estimate
 from twin.units import UM_PER_MM
 from twin.workpiece.best_place import PlaceMap, place_map
 from twin.workpiece.feature_file import parse_features
 from twin.workpiece.placement import Placement
 from twin.workpiece.prediction import FeatureError, FeaturePrediction, predict_features
 
-ESTIMATE_NAME, TABLE_NAME = "estimate.json", "table.csv"
 RULE = "ISO 14253-1 with the guard band U (k = 2)"
 
 
@@ -30,10 +26,10 @@ RULE = "ISO 14253-1 with the guard band U (k = 2)"
 class PredictionRequest:
     """Files and place of a prediction.
 
-    `estimate` is an estimate file, or the folder of a run or of `volcal identify`. The table beside it is taken too,
-    unless `table` names another one or `without_table` is True. `origin_mm` is the place of the origin of the workpiece
-    in the coordinates of the machine, and None for the best place on the table; its height is then `height_mm`.
-    `tool_offset_mm` is None for the tool of the table or of the measurement. If `with_map` is True, the errors at other
+    For the other files and for `tool_offset_mm`, see `read_estimate_and_table`. `origin_mm` is the place of the origin
+    of the workpiece in the coordinates of the machine, and None for the best place on the table; its height is then
+    `height_mm`.
+    If `with_map` is True, the errors at other
     places are computed as well.
     """
 
@@ -88,12 +84,10 @@ def predict_file(request: PredictionRequest) -> PredictedFeatures:
     Raises InputError, which names the file and the row, column or key, if a file is invalid, or if the workpiece cannot
     be reached where it stands.
     """
-    estimate = _estimate(request.estimate)
-    table_file = _table_file(request)
-    table = None if table_file is None else _table(table_file)
+    known = read_estimate_and_table(request.estimate, request.table, request.without_table, request.tool_offset_mm)
+    estimate, table, offset = known.estimate, known.table, known.tool_offset_mm
     with translated(file=str(request.features)):
         features = parse_features(read_text(request.features), str(request.features))
-        offset = _tool_offset(request, estimate, table)
         placement = Placement(np.array(request.origin_mm or (0.0, 0.0, request.height_mm)), request.turned_rad)
         places = None
         if request.with_map or request.origin_mm is None:
@@ -101,7 +95,7 @@ def predict_file(request: PredictionRequest) -> PredictedFeatures:
         if request.origin_mm is None and places is not None:
             placement = places.best_placement
         predictions = predict_features(estimate, features, placement, offset, table)
-    return PredictedFeatures(predictions, placement, offset, table_file, places)
+    return PredictedFeatures(predictions, placement, offset, known.table_file, places)
 
 
 def error_document(error: FeatureError) -> dict[str, Any]:
@@ -140,37 +134,3 @@ def _places_document(places: PlaceMap) -> dict[str, Any]:
         "largest": places.criterion.tolist(),
         "best_mm": places.best_placement.origin_mm.tolist(),
     }
-
-
-def _estimate(path: Path) -> StoredEstimate:
-    file = path / ESTIMATE_NAME if path.is_dir() else path
-    with translated(file=str(file)):
-        return parse_estimate(read_text(file), str(file))
-
-
-def _table_file(request: PredictionRequest) -> Path | None:
-    if request.without_table:
-        return None
-    if request.table is not None:
-        return request.table
-    beside = (request.estimate if request.estimate.is_dir() else request.estimate.parent) / TABLE_NAME
-    return beside if present_file(beside).exists() else None
-
-
-def _table(path: Path) -> CompensationTable:
-    side = path.with_suffix(".json")
-    with translated(file=str(path)):
-        return parse_table(read_text(path), read_text(side), str(path), str(side))
-
-
-def _tool_offset(request: PredictionRequest, estimate: StoredEstimate, table: CompensationTable | None) -> Array:
-    if request.tool_offset_mm is not None:
-        return np.array(request.tool_offset_mm)
-    if table is not None:
-        return table.tool_offset
-    if len(estimate.tool_offsets) != 1:
-        raise InputError(
-            f"the estimate was measured with {len(estimate.tool_offsets)} tools",
-            hint="state the one of the workpiece with --tool-offset",
-        )
-    return np.asarray(estimate.tool_offsets[0])

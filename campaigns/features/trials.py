@@ -1,9 +1,10 @@
 """Predicted errors of features compared with the true ones, on machines that share no code with the program.
 
 Machines of the two generators of `campaigns.foreign` are drawn, measured in the set S3 at four stations and identified.
-On each, features are drawn: distances of six lengths, diameters, positions of holes and flatness of faces. Their true
-errors are compared with the predicted 95 % intervals, without and with the compensation table of the estimate. Then
-each feature gets a tolerance drawn about its uncertainty, and the statements of conformity are compared with the truth.
+On each, features are drawn: distances of six lengths, diameters, positions of holes and flatness of faces, and the
+acceptance tests of ISO 230 about a drawn centre. Their true errors are compared with the predicted 95 % intervals,
+without and with the compensation table of the estimate. Then each feature gets a tolerance drawn about its uncertainty,
+and the statements of conformity are compared with the truth.
 
     python -m campaigns.features --machines 100 [--generator sines] [--each 20]
 
@@ -25,12 +26,14 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # must be set before numpy i
 import numpy as np
 
 from campaigns.features.true_features import DrawnFeature, Field, draw
+from campaigns.features.true_tests import true_figure_mm
 from campaigns.foreign.artefact import measure_at, tilted_bar
 from campaigns.foreign.machine import TOOL, DrawnMachine
 from campaigns.foreign.score import family_of
 from campaigns.foreign.trials import GENERATORS, places_of
 from twin.compensation.table import Anchor, CompensationTable, MeasuredRegion, build_table, regular_nodes
 from twin.identification import Estimate, identify_by_evidence
+from twin.workpiece.acceptance import acceptance_tests
 from twin.workpiece.conformity import Conformity
 from twin.workpiece.features import Measure, Tolerance
 from twin.workpiece.placement import Placement
@@ -38,6 +41,7 @@ from twin.workpiece.prediction import FeatureError, predict_features
 
 _SEED = 12
 _TOOL = np.asarray(TOOL, dtype=np.float64)
+_RADIUS_MM = 300.0
 _AT_ORIGIN = Placement(np.zeros(3))
 
 
@@ -71,8 +75,19 @@ def one_machine(generator: str, each: int, number: int) -> list[ComparedFeature]
     estimate = identify_by_evidence(family_of, seen, bar.artefact)
     table = _table(estimate, seen.axis_positions)
     low, high = np.array(machine.ranges).T
-    drawn = draw(low + _TOOL, high + _TOOL, each, rng)
+    drawn = [*draw(low + _TOOL, high + _TOOL, each, rng), *_tests(machine.ranges, rng)]
     return [row for one in drawn for row in _compared(machine, estimate, table, one, rng)]
+
+
+def _tests(ranges: tuple[tuple[float, float], ...], rng: np.random.Generator) -> list[DrawnFeature]:
+    """Return the acceptance tests about a drawn centre."""
+    x, y, z = ranges
+    low, high = np.array(ranges).T
+    centre = rng.uniform(low + _RADIUS_MM, high - _RADIUS_MM)
+    return [
+        DrawnFeature(f"{test.standard} {test.feature.name.split()[0]}", test.feature, (), partial(true_figure_mm, test))
+        for test in acceptance_tests((x, y, z), _TOOL, centre, (_RADIUS_MM,))
+    ]
 
 
 def _table(estimate: Estimate, measured: np.ndarray) -> CompensationTable:

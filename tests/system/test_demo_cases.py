@@ -1,5 +1,5 @@
-"""`volcal demo --case` with shipped machines besides the case study: a vertical spindle and no mount in the check, also a
-gantry and a router in the long form."""
+"""`volcal demo --case` with shipped machines besides the case study: a vertical spindle and no mount, in the long form
+also a gantry and a router."""
 
 from __future__ import annotations
 

@@ -17,8 +17,9 @@ from twin.errors import DataError
 from twin.machine.error_model import Ranges
 from twin.units import UM_PER_MM
 from twin.workpiece.features import Feature
+from twin.workpiece.machine_field import MachineKnowledge
 from twin.workpiece.placement import Placement
-from twin.workpiece.prediction import FeatureError, MachineKnowledge, predict_features
+from twin.workpiece.prediction import FeatureError, predict_features
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ them has no tolerance. A position and a flatness have only an upper limit.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -57,7 +57,7 @@ def parse_features(text: str, source: str) -> tuple[Feature, ...]:
     """
     found = tuple(_distinct(read_rows(text, source, COLUMNS, OPTIONAL_COLUMNS), source))
     if all(feature.kind is FeatureKind.DATUM for feature in found):
-        kinds = _kinds(kind for kind in FeatureKind if kind is not FeatureKind.DATUM)
+        kinds = _kinds(kind for kind in _USED if kind is not FeatureKind.DATUM)
         hint = f"Give at least one line of the kind {kinds}"
         raise FormatError("the file contains no feature to predict", hint=hint, file=source)
     return found
@@ -106,17 +106,19 @@ def _made(row: CsvRow, name: str, kind: FeatureKind, at: Array) -> Feature:
         case FeatureKind.FLATNESS:
             sides = _number(row, "size_mm"), _number(row, "width_mm")
             return make.flatness(name, at, _direction(row), sides, tolerance)
+        case _:
+            raise row.error(f"'{kind}' is no kind of feature", "kind")
 
 
 def _kind(row: CsvRow) -> FeatureKind:
     text = row.cells["kind"].lower()
-    try:
-        return FeatureKind(text)
-    except ValueError:
-        raise row.error(f"'{text}' is no kind of feature", "kind", f"Write {_kinds(FeatureKind)}") from None
+    kind = next((kind for kind in _USED if kind == text), None)
+    if kind is None:
+        raise row.error(f"'{text}' is no kind of feature", "kind", f"Write {_kinds(_USED)}")
+    return kind
 
 
-def _kinds(kinds: Iterator[FeatureKind] | type[FeatureKind]) -> str:
+def _kinds(kinds: Iterable[FeatureKind]) -> str:
     *others, last = kinds
     return f"{', '.join(others)} or {last}"
 

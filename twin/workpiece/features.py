@@ -32,6 +32,7 @@ class FeatureKind(StrEnum):
     POSITION = "position"
     FLATNESS = "flatness"
     DATUM = "datum"
+    ACCEPTANCE_TEST = "acceptance test"
 
 
 class Measure(StrEnum):

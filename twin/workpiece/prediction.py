@@ -3,11 +3,7 @@
 The tool reaches the points of a feature with the errors that the estimate states, and the feature gets them. Cutting
 forces, wear, the temperature of the workpiece and its clamping are not part of the prediction.
 
-The errors of the machine are those of the posterior of the estimate: the expected field includes the expected misfit,
-and its covariance that of the parameters and of the misfit. Errors whose wavelength is too short for the misfit are
-counted as far as they were seen, that is, by what the ball centres scatter beyond their stated noise. Distances of
-100 mm tell two such points apart, a volumetric error does not, which is why it counts the assumed ones too
-(`twin.identification.predicted`). `campaigns.features` compares the intervals with true errors.
+`campaigns.features` compares the intervals with true errors.
 """
 
 from __future__ import annotations
@@ -15,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,11 +19,10 @@ from scipy.special import ndtr
 from twin.arrays import Array
 from twin.compensation.table import CompensationTable
 from twin.errors import DataError
-from twin.identification.predicted import FieldKnowledge, field_columns
-from twin.machine.forward_model import exact_deviation
 from twin.machine.rigid_motion import rigid_fields
 from twin.workpiece.conformity import Conformity, decide
 from twin.workpiece.features import Feature, FeatureKind, Measure, Tolerance
+from twin.workpiece.machine_field import MachineField, MachineKnowledge, Spread
 from twin.workpiece.placement import Placement, check_inside
 
 COVERAGE_FACTOR = 2.0
@@ -40,15 +34,6 @@ _RIGID_MOTIONS = 6
 _LEVER_MM = 100.0  # scale on which rotations and translations are compared
 _SINGULAR = 1e-9  # of the largest singular value: datum points on one line leave a rotation free
 _CERTAIN = 1e-12  # of the largest variance of a direction
-
-
-class MachineKnowledge(FieldKnowledge, Protocol):
-    """Estimate, computed or stored, of the errors of a machine."""
-
-    @property
-    def parameters(self) -> Array: ...
-    @property
-    def scatter_mm2(self) -> float: ...
 
 
 @dataclass(frozen=True)
@@ -101,7 +86,7 @@ def predict_features(
     datum = _datum(features, placement)
     own = [placement.in_machine(feature.points) for feature in judged]
     points = np.concatenate(own if datum is None else [*own, datum.points])
-    field = _MachineField.at(estimate, points - tool_offset, tool_offset)
+    field = MachineField.at(estimate, points - tool_offset, tool_offset)
     corrections = None if table is None else table.at(points - tool_offset).reshape(-1)
     found, start = [], 0
     for feature, at in zip(judged, own, strict=True):
@@ -114,48 +99,10 @@ def predict_features(
             used = np.concatenate((used, np.arange(3 * len(points) - datum.points.size, 3 * len(points))))
         numbers = operator @ field.expected[used]
         spread = field.spread_of(operator, used)
-        without = _error(feature, numbers, spread)
-        corrected = None if corrections is None else _error(feature, numbers + operator @ corrections[used], spread)
+        without = error_of(feature, numbers, spread)
+        corrected = None if corrections is None else error_of(feature, numbers + operator @ corrections[used], spread)
         found.append(FeaturePrediction(feature, without, corrected))
     return tuple(found)
-
-
-@dataclass(frozen=True, eq=False)
-class _MachineField:
-    """Knowledge about the errors of a machine at n points: the expected errors (3n,) in mm, their derivative `columns`
-    (3n, P) with respect to the parameters and the coefficients of the misfit, the covariance (P, P) of these, and the
-    variance in mm² of errors that are not correlated between points."""
-
-    expected: Array
-    columns: Array
-    covariance: Array
-    scatter_mm2: float
-
-    @classmethod
-    def at(cls, estimate: MachineKnowledge, axis_positions: Array, tool_offset: Array) -> _MachineField:
-        columns = field_columns(estimate, axis_positions, tool_offset).reshape(axis_positions.size, -1)
-        expected = exact_deviation(estimate.model, axis_positions, tool_offset, estimate.parameters).reshape(-1)
-        covariance, misfit = estimate.covariance, estimate.misfit
-        if misfit is not None:
-            cross = misfit.cross_covariance
-            covariance = np.block([[covariance, cross], [cross.T, misfit.covariance]])
-            expected = expected + columns[:, estimate.model.size :] @ misfit.coefficients
-        return cls(expected, columns, covariance, estimate.scatter_mm2)
-
-    def spread_of(self, operator: Array, used: NDArray[np.intp]) -> _Spread:
-        """Return the spread of the k numbers that `operator` (k, m) makes of the m components `used`."""
-        columns = operator @ self.columns[used]
-        known = columns @ self.covariance @ columns.T
-        return _Spread(known, known + self.scatter_mm2 * operator @ operator.T)
-
-
-@dataclass(frozen=True, eq=False)
-class _Spread:
-    """Covariances (k, k) in mm² of the k numbers of a feature: without and with the errors that are not correlated
-    between points."""
-
-    smooth: Array
-    whole: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +139,7 @@ def _datum(features: Sequence[Feature], placement: Placement) -> _Datum | None:
     return _Datum(points, middle, np.asarray(np.linalg.pinv(motions)))
 
 
-def _error(feature: Feature, numbers: Array, spread: _Spread) -> FeatureError:
+def error_of(feature: Feature, numbers: Array, spread: Spread) -> FeatureError:
     """Return the error of a feature from its expected `numbers` (k,) in mm and their spread."""
     if feature.measure is Measure.SIGNED:
         return _signed_error(float(numbers[0]), float(np.sqrt(spread.whole[0, 0])), feature.tolerance)

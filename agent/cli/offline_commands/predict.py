@@ -17,6 +17,7 @@ import click
 from agent.cli.errors import reported
 from agent.cli.invocation import will_run
 from agent.cli.options import PATH
+from agent.cli.triples import parse_triple, point_in_mm
 
 if will_run():
     from rich.console import Console
@@ -37,18 +38,9 @@ _COLOURS = {"conforms": "green", "does not conform": "red", "undecided": "yellow
 _PICTURES = (".png", ".svg")
 
 
-def _triple(_: click.Context, parameter: click.Parameter, text: str | None) -> tuple[float, float, float] | None:
-    """Parse three numbers in mm; the word `best` is None."""
-    if text is None or (parameter.name == "origin" and text.strip().lower() == BEST):
-        return None
-    try:
-        x, y, z = (float(part) for part in text.split(","))
-    except ValueError:
-        also = f", or the word {BEST}" if parameter.name == "origin" else ""
-        raise click.BadParameter(f"'{text}' is not X,Y,Z in mm, such as 100,200,-50.5{also}") from None
-    if not all(abs(number) < 1e6 for number in (x, y, z)):
-        raise click.BadParameter(f"'{text}' is no place on a machine tool")
-    return x, y, z
+def _place(_: click.Context, __: click.Parameter, text: str) -> tuple[float, float, float] | None:
+    """Parse the place of the workpiece; the word `best` is None."""
+    return None if text.strip().lower() == BEST else parse_triple(text, f", or the word {BEST}")
 
 
 def _picture(_: click.Context, __: click.Parameter, path: Path | None) -> Path | None:
@@ -67,7 +59,7 @@ def _picture(_: click.Context, __: click.Parameter, path: Path | None) -> Path |
 @click.option(
     "--at",
     "origin",
-    callback=_triple,
+    callback=_place,
     required=True,
     metavar="X,Y,Z|best",
     help="Place of the workpiece's origin in mm, for the tip of the tool, or `best` for the place with the smallest "
@@ -84,7 +76,7 @@ def _picture(_: click.Context, __: click.Parameter, path: Path | None) -> Path |
 )
 @click.option(
     "--tool-offset",
-    callback=_triple,
+    callback=point_in_mm,
     metavar="X,Y,Z",
     help="Offset of the tool that machines the workpiece, in mm [default: that of the table].",
 )

@@ -1,4 +1,4 @@
-"""`volcal predict` from files: figures, verdicts, picture and exit codes, and words for what cannot be predicted."""
+"""`volcal predict` and `volcal acceptance` from files: figures, verdicts, pictures, and words for what cannot be."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 import volcal
+from agent.cli.offline_commands.acceptance import acceptance_command
 from agent.cli.offline_commands.predict import predict_command
 
 PLATE = volcal.shipped_file("examples/bearing-plate.csv")
@@ -92,3 +93,42 @@ def test_an_estimate_that_is_none_is_refused(tmp_path: Path) -> None:
     done = predict(PLATE, "--estimate", tmp_path, "--at", "1000,500,400")
     assert done.exit_code == 2
     assert str(tmp_path / "estimate.json") in done.output
+
+
+def accept(*arguments: object) -> Result:
+    return CliRunner().invoke(acceptance_command, [str(argument) for argument in arguments], catch_exceptions=False)
+
+
+def test_acceptance_tests_are_stated_and_drawn(folder: Path, tmp_path: Path) -> None:
+    drawn = tmp_path / "drawn"
+    done = accept("--estimate", folder, "--radius", 100, "--radius", 300, "--json", "--draw", drawn)
+    assert done.exit_code == 0
+    tests = json.loads(done.stdout)["tests"]
+    assert [one["standard"] for one in tests].count("ISO 230-4") == 6
+    spans = dict.fromkeys(("curve_um", "curve_with_table_um"), 0.0)
+    for one in tests:
+        assert one["without_table"]["low_um"] <= one["without_table"]["expected_um"] <= one["without_table"]["high_um"]
+        assert len(one["curve_um"]) == len(one["curve_expanded_um"]) == len(one["curve_with_table_um"])
+        if not one["figure"].startswith("squareness"):
+            spans = {name: span + max(one[name]) - min(one[name]) for name, span in spans.items()}
+    assert spans["curve_with_table_um"] < 0.2 * spans["curve_um"]
+    assert (drawn / "acceptance.png").read_bytes().startswith(b"\x89PNG")
+    assert (drawn / "acceptance.svg").read_text(encoding="utf-8").count("ISO 230-4") == 6
+    shown = accept("--estimate", folder, "--no-table").stdout
+    assert "mean positioning deviation of X" in shown
+    assert "with table" not in shown
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--radius", "900"], "leaves the travel of the machine"),
+        (["--centre", "1,2"], "'1,2' is not X,Y,Z in mm"),
+        (["--centre", "1,2,1e9"], "no place on a machine tool"),
+        (["--table", "t.csv", "--no-table"], "exclude each other"),
+    ],
+)
+def test_acceptance_tests_that_cannot_be_are_said(folder: Path, arguments: list[str], said: str) -> None:
+    done = accept("--estimate", folder, *arguments)
+    assert done.exit_code == 2
+    assert said in done.output

@@ -10,6 +10,7 @@ import pytest
 from scipy.stats import chi, norm
 
 from campaigns.features.true_features import draw
+from campaigns.features.true_tests import true_figure_mm
 from twin.arrays import Array
 from twin.compensation.table import Anchor, CompensationTable
 from twin.errors import DataError
@@ -18,6 +19,7 @@ from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import exact_deviation
 from twin.machine.kinematic_chain import parse_chain
 from twin.workpiece import features as make
+from twin.workpiece.acceptance import acceptance_tests, predict_tests
 from twin.workpiece.best_place import place_map
 from twin.workpiece.conformity import Conformity
 from twin.workpiece.features import Feature, Measure, Tolerance
@@ -64,6 +66,24 @@ def test_errors_are_those_of_the_displaced_points() -> None:
         # a flatness is the largest of many points, of which the feature and the truth take others
         allowed = 0.05 * abs(true_mm) if one.feature.measure is Measure.RANGE else 0.0
         assert predicted(known, one.feature, *one.datum) == [pytest.approx(true_mm, abs=allowed + 0.02 * UM)]
+
+
+def test_acceptance_tests_are_those_of_the_displaced_points() -> None:
+    known = drawn_machine()
+    tests = acceptance_tests(RANGES, TOOL, np.array([1400.0, 700.0, 650.0]), (200.0, 500.0))
+    assert len({test.feature.name for test in tests}) == len(tests) == 3 + 6 + 3 + 2 * 3 + 4
+    for one in predict_tests(known, tests, TOOL):
+        true_mm = true_figure_mm(one.test, lambda points: exact_deviation(MODEL, points - TOOL, TOOL, known.parameters))
+        assert one.figure.without_table.expected_mm == pytest.approx(true_mm, abs=0.02 * UM), one.test.feature.name
+        if one.test.feature.measure is Measure.RANGE:
+            assert np.ptp(one.curve_mm) == pytest.approx(true_mm, abs=0.02 * UM)
+
+
+def test_a_circle_that_leaves_the_machine_is_said() -> None:
+    with pytest.raises(DataError, match="a circle of radius 800 mm in the plane XY leaves the travel"):
+        acceptance_tests(RANGES, TOOL, np.array([1400.0, 700.0, 650.0]), (800.0,))
+    with pytest.raises(DataError, match="outside the travel"):
+        acceptance_tests(RANGES, TOOL, np.array([1400.0, 1700.0, 650.0]), (100.0,))
 
 
 def test_a_turned_workpiece_has_the_errors_of_its_place() -> None:

@@ -1,0 +1,75 @@
+"""Predicted curves of acceptance tests, drawn as ISO 230 draws them, for comparison with a laser or a ballbar."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from agent.figures.style import BAND_OPACITY, BLUE, ORANGE, QUIET, Picture, headed, picture
+from twin.units import UM_PER_MM
+from twin.workpiece.acceptance import PredictedTest
+
+_COLUMNS = 3
+_WIDTH_IN, _ROW_IN, _LEGEND_IN = 10.0, 2.3, 0.7
+_CIRCLE_ROOM = 3.0  # radius of the nominal circle, in the largest deviations
+_LABELS = ("without table, with U (k = 2)", "with table, with U (k = 2)")
+
+
+def draw_tests(predicted: Sequence[PredictedTest], heading: str) -> Picture:
+    """Return a figure with one panel for each test that has a curve."""
+    shown = [one for one in predicted if len(one.curve_mm) > 1]
+    rows = -(-len(shown) // _COLUMNS)
+
+    def draw(figure: Figure) -> None:
+        for place, one in enumerate(shown, start=1):
+            circle = one.test.standard == "ISO 230-4"
+            axes = figure.add_subplot(rows, _COLUMNS, place, projection="polar" if circle else None)
+            (_draw_circle if circle else _draw_line)(axes, one)
+            axes.set_title(f"{one.test.standard}: {one.test.feature.name}", fontsize=8.5)
+        handles = [handle for axes in figure.axes[:1] for handle in axes.get_lines()[:2]]
+        labels = _LABELS[: len(_curves(shown[0]))]
+        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+
+    return picture("acceptance", headed(draw, heading), (_WIDTH_IN, rows * _ROW_IN + _LEGEND_IN))
+
+
+def _curves(one: PredictedTest) -> list[tuple[np.ndarray, str]]:
+    curves = [(UM_PER_MM * one.curve_mm, BLUE)]
+    return curves if one.corrected_mm is None else [*curves, (UM_PER_MM * one.corrected_mm, ORANGE)]
+
+
+def _draw_line(axes: Axes, one: PredictedTest) -> None:
+    expanded = UM_PER_MM * one.expanded_mm
+    for curve, colour in _curves(one):
+        axes.plot(one.test.along, curve, color=colour)
+        axes.fill_between(one.test.along, curve - expanded, curve + expanded, color=colour, alpha=BAND_OPACITY, lw=0.0)
+    axes.axhline(0.0, color=QUIET, linewidth=0.6)
+    axes.set_xlabel("position / mm", fontsize=8.0)
+    axes.set_ylabel("deviation / µm", fontsize=8.0)
+
+
+def _draw_circle(axes: Axes, one: PredictedTest) -> None:
+    """Draw deviations from the nominal circle, which is shown smaller so that they can be seen."""
+    expanded = UM_PER_MM * one.expanded_mm
+    largest = max(float(np.abs(curve).max()) for curve, _ in _curves(one)) + float(expanded.max())
+    radius = _CIRCLE_ROOM * largest
+    angles = np.append(one.test.along, one.test.along[0] + 2.0 * np.pi)
+    for curve, colour in _curves(one):
+        closed, band = np.append(curve, curve[0]), np.append(expanded, expanded[0])
+        axes.plot(angles, radius + closed, color=colour)
+        axes.fill_between(
+            angles, radius + closed - band, radius + closed + band, color=colour, alpha=BAND_OPACITY, lw=0.0
+        )
+    axes.plot(angles, np.full_like(angles, radius), color=QUIET, linewidth=0.6)
+    axes.set_ylim(0.0, radius + 1.5 * largest)
+    axes.set_yticks([radius - largest, radius + largest], ["", f"± {largest:.1f} µm"], fontsize=7.0)
+    axes.set_xticks(np.radians([0.0, 90.0, 180.0, 270.0]), _directions(one))
+    axes.tick_params(pad=0.0)
+
+
+def _directions(one: PredictedTest) -> list[str]:
+    first, second = one.test.feature.name.split()[1]
+    return [f"+{first}", f"+{second}", f"−{first}", f"−{second}"]

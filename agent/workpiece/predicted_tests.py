@@ -1,0 +1,97 @@
+"""Predicted figures of acceptance tests, from an estimate and a table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agent.files import translated
+from agent.workpiece.estimate_and_table import read_estimate_and_table
+from agent.workpiece.predicted_features import error_document
+from twin.arrays import Array
+from twin.units import UM_PER_MM
+from twin.workpiece.acceptance import PredictedTest, acceptance_tests, predict_tests
+
+_DIGITS = 4
+
+
+@dataclass(frozen=True)
+class AcceptanceRequest:
+    """Files of a prediction, and the place of the tests. `centre_mm` is None for the middle of the travel; for the
+    other files and for `tool_offset_mm`, see `read_estimate_and_table`."""
+
+    estimate: Path
+    table: Path | None
+    without_table: bool
+    centre_mm: tuple[float, float, float] | None
+    radii_mm: tuple[float, ...]
+    tool_offset_mm: tuple[float, float, float] | None
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedTests:
+    """Predicted figures and curves of acceptance tests about `centre_mm` (3,). `table` is the file of the table, and
+    None without one."""
+
+    tests: tuple[PredictedTest, ...]
+    centre_mm: Array
+    tool_offset_mm: Array
+    table: Path | None
+
+    @property
+    def heading(self) -> str:
+        """Line that says where the tests are."""
+        centre, offset = ("{:g}, {:g}, {:g}".format(*values) for values in (self.centre_mm, self.tool_offset_mm))
+        return f"Lines and circles through {centre} mm, tool offset {offset} mm"
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the prediction as a JSON object, with figures and curves in µm."""
+        return {
+            "centre_mm": self.centre_mm.tolist(),
+            "tool_offset_mm": self.tool_offset_mm.tolist(),
+            "table": None if self.table is None else str(self.table),
+            "tests": [_document(one) for one in self.tests],
+        }
+
+
+def predict_acceptance(request: AcceptanceRequest) -> PredictedTests:
+    """Return the predicted figures of acceptance tests.
+
+    Raises InputError, which names the file and the row, column or key, if a file is invalid, or if a line or circle
+    leaves the travel for which the machine was identified.
+    """
+    known = read_estimate_and_table(request.estimate, request.table, request.without_table, request.tool_offset_mm)
+    ranges = known.estimate.model.ranges_mm
+    centre = np.array(request.centre_mm or np.mean(ranges, axis=1))
+    with translated():
+        tests = acceptance_tests(ranges, known.tool_offset_mm, centre, request.radii_mm)
+        predicted = predict_tests(known.estimate, tests, known.tool_offset_mm, known.table)
+    return PredictedTests(predicted, centre, known.tool_offset_mm, known.table_file)
+
+
+def _document(one: PredictedTest) -> dict[str, Any]:
+    circle = one.test.standard == "ISO 230-4"
+    with_table = one.figure.with_table
+    return {
+        "standard": one.test.standard,
+        "figure": one.test.feature.name,
+        "meaning": one.test.title,
+        "without_table": _figure(error_document(one.figure.without_table)),
+        "with_table": None if with_table is None else _figure(error_document(with_table)),
+        "angle_rad" if circle else "position_mm": np.round(one.test.along, _DIGITS).tolist(),
+        "curve_um": _um(one.curve_mm),
+        "curve_with_table_um": None if one.corrected_mm is None else _um(one.corrected_mm),
+        "curve_expanded_um": _um(one.expanded_mm),
+    }
+
+
+def _figure(document: dict[str, Any]) -> dict[str, Any]:
+    """Return the figure without a statement of conformity: the tests have no tolerance."""
+    return {name: value for name, value in document.items() if name != "conformity"}
+
+
+def _um(values_mm: Array) -> list[float]:
+    return [round(float(value), _DIGITS) for value in UM_PER_MM * values_mm]
