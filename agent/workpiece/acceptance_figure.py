@@ -71,5 +71,5 @@ def _draw_circle(axes: Axes, one: PredictedTest) -> None:
 
 
 def _directions(one: PredictedTest) -> list[str]:
-    first, second = one.test.feature.name.split()[1]
-    return [f"+{first}", f"+{second}", f"−{first}", f"−{second}"]
+    plane = one.test.feature.name.split()[1]
+    return [f"{sign}{axis}" for sign in "+−" for axis in plane]

@@ -216,7 +216,7 @@ def _count(length_mm: float) -> int:
 
 def _component(count: int, direction: Array) -> Array:
     """Return the matrix (n, 3n) that takes displacements of n points to their components along `direction`."""
-    return np.kron(np.eye(count), direction)
+    return np.asarray(np.kron(np.eye(count), direction), dtype=np.float64)
 
 
 def _from_mean(count: int) -> Array:
@@ -234,4 +234,4 @@ def _without(columns: Array) -> Array:
 def _slope(along: Array) -> Array:
     """Return the row (1, n) that takes values at `along` to the slope of their least-squares line."""
     centred = along - along.mean()
-    return (centred / (centred @ centred))[None, :]
+    return np.asarray((centred / (centred @ centred))[None, :])
