@@ -17,6 +17,7 @@ ROOMS = (
     "agent/execution",
     "agent/history/feed.py",
     "agent/history/trends.py",
+    "agent/notifications",
     "agent/planning",
     "agent/probing",
     "agent/results",

@@ -13,7 +13,14 @@ from sentences_in_source import all_texts, sentences
 from agent.language.records import WORDS, record_in_words
 from agent.language.sentences import PLACE, catalogue, german, in_language, with_german_numbers
 from agent.results.gates import GATE_RULES
-from drivers.foreign_errors import BY_ERRNO, BY_SQLITE_CODE, IN_THE_LOG
+from drivers.foreign_errors import (
+    BY_CERTIFICATE_CODE,
+    BY_ERRNO,
+    BY_SQLITE_CODE,
+    IN_THE_LOG,
+    NO_TLS,
+    UNKNOWN_NAME,
+)
 
 
 def shape(template: str) -> str:
@@ -33,7 +40,8 @@ def test_each_sentence_of_the_source_has_german() -> None:
 
 
 def test_each_cause_and_each_gate_has_german() -> None:
-    texts = {*BY_ERRNO.values(), *BY_SQLITE_CODE.values(), IN_THE_LOG, *(rule.title for rule in GATE_RULES.values())}
+    causes = {*BY_ERRNO.values(), *BY_SQLITE_CODE.values(), *BY_CERTIFICATE_CODE.values()}
+    texts = causes | {IN_THE_LOG, NO_TLS, UNKNOWN_NAME} | {rule.title for rule in GATE_RULES.values()}
     assert texts - set(catalogue()) == set()
 
 
