@@ -26,6 +26,7 @@ from agent.execution.journal import Journal
 from agent.execution.journal_reader import open_journal
 from agent.execution.states import RunState
 from agent.results.decision_kinds import OUTCOME, PROOF
+from agent.service.control import Alarm
 from agent.service.daemon.endpoints import open_endpoints
 from agent.service.opcua.companion_types import ALERT, DEVICES, MACHINE_TOOL, MACHINERY, RESULT
 from agent.service.opcua.endpoint import OpcUaEndpoint
@@ -215,6 +216,10 @@ MACHINE_TOOL_FILE = "Opc.Ua.MachineTool.NodeSet2.xml"
 BAD = {
     "missing folder": (lambda d: d / "none", "does not exist"),
     "cut off": (lambda d: changed(d, MACHINE_TOOL_FILE, r"(.{20000}).*", r"\1"), "cannot be read"),
+    "two of one namespace": (
+        lambda d: Path(shutil.copy(copied(d) / MACHINE_TOOL_FILE, d / "sets" / "older.xml")).parent,
+        "MachineTool.NodeSet2.xml and older.xml have the same namespace",
+    ),
     "another document": (lambda d: changed(d, MACHINE_TOOL_FILE, r".*", "<svg/>"), "not a UANodeSet"),
     "another namespace": (
         lambda d: changed(d, MACHINE_TOOL_FILE, '<Model ModelUri="[^"]*', '<Model ModelUri="urn:x'),
@@ -241,17 +246,30 @@ def test_an_unusable_node_set_is_named_with_what_to_do(tmp_path, what):
         read_node_sets(make(tmp_path))
     assert caught.value.where["key"] == "opcua.node_sets"
     assert str(tmp_path) in caught.value.where["file"]
-    assert "UA-Nodeset" in caught.value.hint
+    assert "UA-Nodeset" in caught.value.hint or "keep one" in caught.value.hint
 
 
 @pytest.mark.parametrize("what", list(NOT_IMPORTED))
 def test_without_usable_node_sets_the_service_goes_on_and_says_so(tmp_path, what):
     make, words = NOT_IMPORTED[what]
     endpoint = OpcUaEndpoint(OpcUaSettings(node_sets=make(tmp_path)), tmp_path, TOKEN)
-    notes: list[str] = []
-    with open_endpoints([endpoint], FakeControl(), notes.append) as open_ones:
+    alarms: list[Alarm] = []
+    with open_endpoints([endpoint], FakeControl(), alarms.append) as open_ones:
         assert open_ones == []
-    (note,) = notes
-    assert re.search(words, note)
-    assert note.startswith("the service goes on without OPC UA")
-    assert MACHINE_TOOL_FILE in note
+    (alarm,) = alarms
+    assert re.search(words, alarm.text)
+    assert alarm.text.startswith("the service goes on without OPC UA")
+    assert (alarm.code, alarm.where["endpoint"]) == (203, "OPC UA")
+    assert MACHINE_TOOL_FILE in alarm.where["file"]
+
+
+def test_no_defect_of_the_machine_space_keeps_the_service_from_starting(tmp_path, monkeypatch) -> None:
+    async def fails(*_: object) -> None:
+        raise KeyError("a reference to a type that the node set does not have")
+
+    monkeypatch.setattr("agent.service.opcua.machine_space.load_node_sets", fails)
+    alarms: list[Alarm] = []
+    endpoint = OpcUaEndpoint(OpcUaSettings(), tmp_path, TOKEN)
+    with open_endpoints([endpoint], FakeControl(), alarms.append) as open_ones:
+        assert open_ones == []
+    assert alarms[0].text == "the service goes on without OPC UA: the server cannot be built: the log names the cause"

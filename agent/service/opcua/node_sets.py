@@ -26,6 +26,7 @@ from agent.service.opcua.companion_types import (
     RESULT,
     USED_TYPES,
 )
+from drivers.foreign_errors import IN_THE_LOG, cause_of
 
 XML: Final = "{http://opcfoundation.org/UA/2011/03/UANodeSet.xsd}"
 DOWNLOAD: Final = "the node sets are in the repository UA-Nodeset of the OPC Foundation (docs/reference/opc-ua.md)"
@@ -82,13 +83,24 @@ async def load_node_sets(server: Server, directory: Path | None) -> None:
 
 
 def read_node_sets(directory: Path) -> Mapping[str, NodeSetFile]:
-    """Return the needed node sets of a directory by namespace URI. Their file names do not matter."""
+    """Return the node sets of a directory by namespace URI. Their file names do not matter.
+
+    Every file that ends with ``.xml`` must be a node set, and there must be one for each namespace: which of two is
+    loaded is not left to the names of the files.
+    """
     if not directory.is_dir():
         raise EndpointUnavailable(
             "the directory of the OPC UA node sets does not exist", file=str(directory), key="opcua.node_sets",
             hint=f"create it and copy the node sets into it, or remove the key to use those shipped; {DOWNLOAD}",
         )  # fmt: skip
-    found = {one.uri: one for path in sorted(directory.glob("*.xml")) for one in [_read(path)]}
+    found = dict[str, NodeSetFile]()
+    for one in map(_read, sorted(directory.glob("*.xml"))):
+        former = found.setdefault(one.uri, one)
+        if former is not one:
+            raise EndpointUnavailable(
+                f"{former.path.name} and {one.path.name} have the same namespace {one.uri}",
+                file=str(one.path), key="opcua.node_sets", hint="keep one of the two in the directory",
+            )  # fmt: skip
     for node_set in NODE_SETS:
         if node_set.uri not in found:
             raise EndpointUnavailable(
@@ -107,8 +119,10 @@ def read_node_sets(directory: Path) -> Mapping[str, NodeSetFile]:
 def _read(path: Path) -> NodeSetFile:
     try:
         root = ElementTree.parse(path).getroot()  # noqa: S314  a file that the administrator of this computer chose
-    except (OSError, ElementTree.ParseError, ValueError) as error:
-        raise _damaged(path, error) from error
+    except ElementTree.ParseError as error:
+        raise _damaged(path, f"it is not XML in line {error.position[0]}") from error
+    except (OSError, ValueError) as error:
+        raise _damaged(path, cause_of(error)) from error
     model = root.find(f"{XML}Models/{XML}Model")
     if root.tag != f"{XML}UANodeSet" or model is None:
         raise _damaged(path, "it is not a UANodeSet with a model")
@@ -133,7 +147,8 @@ async def _import(server: Server, node_set: NodeSet, file: NodeSetFile) -> None:
         text = ElementTree.tostring(file.root, encoding="unicode")
         await server.import_xml(xmlstring=text, auto_load_definitions=node_set.decode_values)
     except Exception as error:
-        raise _damaged(file.path, str(error) or type(error).__name__) from error
+        log.error("node set not imported", file=str(file.path), exc_info=error)
+        raise _damaged(file.path, f"a node of it cannot be imported: {IN_THE_LOG}") from error
 
 
 def _remove_unreadable(root: ElementTree.Element) -> None:
