@@ -14,6 +14,9 @@ from agent.language.records import WORDS
 Language = Literal["en", "de"]
 LANGUAGES: Final[tuple[Language, ...]] = ("en", "de")
 
+SAID: Final = "said"
+"""Name of a place that is filled with the words of a person, which stay as they are."""
+_ISOLATED: Final = re.compile("[\u2068\u2069]")
 PLACE: Final = re.compile(r"\{(\w+)\}")
 _WHOLE_ERROR: Final = re.compile(r"(?P<message>.+?) \((?P<places>[a-z_]+ [^()]+)\)(?:\. (?P<hint>.+))?", re.DOTALL)
 """Form of an error in one line: message, places and hint (`drivers.errors.VolcalError`)."""
@@ -25,8 +28,8 @@ _INSTANT: Final = re.compile(
 _SEPARATORS: Final = ("; ", ". ", ", ")
 _REMEMBERED: Final = 2000
 _DEEPEST: Final = 8
-"""Number of sentences that lie inside of each other at most. A text beyond it stays in English: the work for any text is
-then at most so many times that of looking for each sentence once."""
+"""Number of sentences that lie inside of each other at most. A text beyond it stays in English: the work for any text
+is then at most so many times that of looking for each sentence once."""
 
 
 class Sentence:
@@ -85,6 +88,17 @@ def _sentences() -> tuple[Sentence, ...]:
     return tuple(sorted((Sentence(*pair) for pair in catalogue().items()), key=lambda one: -one.letters))
 
 
+def as_it_is(text: str) -> str:
+    """Return a name or a text of a person with marks, so that it is not told in another language inside of a sentence
+    (U+2068 and U+2069). `without_marks` removes them."""
+    return f"\u2068{text}\u2069" if text else text
+
+
+def without_marks(text: str) -> str:
+    """Return the text without the marks of `as_it_is`."""
+    return _ISOLATED.sub("", text)
+
+
 def in_language(text: str, language: Language) -> str:
     """Return an English text of the program in the language. What the catalogue does not have stays in English."""
     return text if language == "en" else german(text)
@@ -100,12 +114,14 @@ def _german(text: str, deepest: int) -> str:
     """Return the German of a text in which at most `deepest` sentences lie inside of each other."""
     if text in catalogue():
         return catalogue()[text]
+    if text.startswith("\u2068") and text.find("\u2069") == len(text) - 1:
+        return text
     if deepest == 0:
         return with_german_numbers(text)
     for sentence in _sentences():
         values = sentence.filled(text)
         if values is not None and text not in values.values():
-            told = {name: _german(value, deepest - 1) for name, value in values.items()}
+            told = {name: value if name == SAID else _german(value, deepest - 1) for name, value in values.items()}
             return PLACE.sub(lambda place, told=told: told[place[1]], sentence.german)  # type: ignore[misc]
     return _composed(text, deepest - 1) or with_german_numbers(text)
 

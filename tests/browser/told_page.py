@@ -55,7 +55,10 @@ def views() -> Iterator[tuple[str, dict[str, Any]]]:
     for verdict in VERDICTS:
         yield verdict.name, {**status(RunState.COMPLETE), "verdict": verdict.as_json()}
     yield "question", {**status(RunState.HELD), "question": QUESTION}
-    yield "alarms", {**status(RunState.FAULTED, unfinished=True), "alarms": [ALARM, ALARM, ALARM], "receivers": RECEIVERS}
+    yield (
+        "alarms",
+        {**status(RunState.FAULTED, unfinished=True), "alarms": [ALARM, ALARM, ALARM], "receivers": RECEIVERS},
+    )
     yield "unfinished", {**status(RunState.IDLE, unfinished=True), "active_bank": None, "read_problem": "no answer"}
     yield "unproved", unproved_status()
 

@@ -56,7 +56,7 @@ function found(text, deepest) {
   if (Object.hasOwn(catalogue, text)) return catalogue[text];
   for (const sentence of deepest ? sentences : []) {
     const values = filled(sentence, text);
-    if (values && !Object.values(values).includes(text)) return sentence.words.replaceAll(PLACE, (_, name) => german(values[name], deepest - 1));
+    if (values && !Object.values(values).includes(text)) return sentence.words.replaceAll(PLACE, (_, name) => (name === "said" ? values.said : german(values[name], deepest - 1)));
   }
   return null;
 }
