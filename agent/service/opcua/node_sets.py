@@ -24,6 +24,7 @@ from agent.service.opcua.companion_types import (
     MACHINE_TOOL,
     MACHINERY,
     RESULT,
+    UA,
     USED_TYPES,
 )
 from drivers.foreign_errors import IN_THE_LOG, cause_of
@@ -63,10 +64,13 @@ class NodeSetFile:
     root: ElementTree.Element
     uri: str
     version: str
+    required: frozenset[str]
+    """Namespaces on which the node set builds."""
 
 
 async def load_node_sets(server: Server, directory: Path | None) -> None:
-    """Import the node sets from `directory`, or those that are shipped with the package if it is None.
+    """Import the node sets from `directory`, or those that are shipped with the package if it is None. Further node
+    sets of the directory, such as that of OPC 40210, follow the needed ones.
 
     Raise EndpointUnavailable if the directory or a node set is missing, or if a file is damaged or too old.
     """
@@ -77,9 +81,11 @@ async def load_node_sets(server: Server, directory: Path | None) -> None:
     with as_file(files("agent.service.opcua").joinpath("companion")) as shipped:
         found = read_node_sets(directory or shipped)
     for node_set in NODE_SETS:
-        await _import(server, node_set, found[node_set.uri])
+        await _import(server, found[node_set.uri], decode_values=node_set.decode_values)
+    for file in further_node_sets(found):
+        await _import(server, file, decode_values=False)
     await _require_types(server, found)
-    log.info("OPC UA node sets loaded", count=len(NODE_SETS), cpu_s=round(time.process_time() - begun, 2))
+    log.info("OPC UA node sets loaded", count=len(found), cpu_s=round(time.process_time() - begun, 2))
 
 
 def read_node_sets(directory: Path) -> Mapping[str, NodeSetFile]:
@@ -116,6 +122,25 @@ def read_node_sets(directory: Path) -> Mapping[str, NodeSetFile]:
     return found
 
 
+def further_node_sets(found: Mapping[str, NodeSetFile]) -> list[NodeSetFile]:
+    """Return the node sets that volcal itself does not need, each after those on which it builds. Raise
+    EndpointUnavailable if one of these is missing."""
+    known = {UA, *(node_set.uri for node_set in NODE_SETS)}
+    left, ordered = [file for uri, file in found.items() if uri not in known], list[NodeSetFile]()
+    while left:
+        ready = [file for file in left if file.required <= known]
+        if not ready:
+            file = left[0]
+            raise EndpointUnavailable(
+                f"the node set {file.uri} builds on {', '.join(sorted(file.required - known))}, which is not here",
+                file=str(file.path), key="opcua.node_sets", hint=f"copy the missing node set too; {DOWNLOAD}",
+            )  # fmt: skip
+        ordered += ready
+        known |= {file.uri for file in ready}
+        left = [file for file in left if file not in ready]
+    return ordered
+
+
 def _read(path: Path) -> NodeSetFile:
     try:
         root = ElementTree.parse(path).getroot()  # noqa: S314  a file that the administrator of this computer chose
@@ -126,7 +151,8 @@ def _read(path: Path) -> NodeSetFile:
     model = root.find(f"{XML}Models/{XML}Model")
     if root.tag != f"{XML}UANodeSet" or model is None:
         raise _damaged(path, "it is not a UANodeSet with a model")
-    return NodeSetFile(path, root, model.get("ModelUri", ""), model.get("Version", ""))
+    required = frozenset(one.get("ModelUri", "") for one in model.iterfind(f"{XML}RequiredModel"))
+    return NodeSetFile(path, root, model.get("ModelUri", ""), model.get("Version", ""), required)
 
 
 def _damaged(path: Path, reason: object) -> EndpointUnavailable:
@@ -140,12 +166,12 @@ def _numbers(version: str) -> tuple[int, ...]:
     return tuple(int(part) for part in version.split(".") if part.isdecimal())
 
 
-async def _import(server: Server, node_set: NodeSet, file: NodeSetFile) -> None:
+async def _import(server: Server, file: NodeSetFile, *, decode_values: bool) -> None:
     _remove_unreadable(file.root)
     ElementTree.register_namespace("", XML.strip("{}"))
     try:
         text = ElementTree.tostring(file.root, encoding="unicode")
-        await server.import_xml(xmlstring=text, auto_load_definitions=node_set.decode_values)
+        await server.import_xml(xmlstring=text, auto_load_definitions=decode_values)
     except Exception as error:
         log.error("node set not imported", file=str(file.path), exc_info=error)
         raise _damaged(file.path, f"a node of it cannot be imported: {IN_THE_LOG}") from error
