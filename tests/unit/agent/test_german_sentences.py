@@ -92,6 +92,14 @@ def test_places_agree_and_the_german_is_found() -> None:
             "Die Aufnahme ist nicht geöffnet; Das Gerät ist nicht geöffnet",
         ),
         (
+            "probability of such a scale, at most; a change of ECZ by 16.6 µrad rms between positions 0 and 1 is found "
+            "with a probability of 95 %; unnoticed, it would leave 6.5 µm",
+            "probability of such a scale, at most; eine Änderung von ECZ um 16,6 µrad (Effektivwert) zwischen den "
+            "Positionen 0 und 1 wird mit einer Wahrscheinlichkeit von 95 % gefunden; unbemerkt ließe sie 6,5 µm zurück",
+        ),
+        ("aborted: Prior (Night)", "abgebrochen: Prior (Night)"),
+        ("aborted: abort pressed", "abgebrochen: Abbruch gedrückt"),
+        (
             "a sentence that nobody has written in German, 1.5 µm",
             "a sentence that nobody has written in German, 1,5 µm",
         ),
