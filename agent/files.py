@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TextIO
 
 from drivers.errors import InputError, UserError, VolcalError
+from drivers.foreign_errors import cause_of
 from drivers.tables.files import sync_directory
 from twin.errors import TwinError
 from twin.formats.compressed_text import MAGIC, MAX_TEXT_BYTES, SUFFIX, expand_text
@@ -47,7 +48,7 @@ def read_text(path: Path, *, error: type[UserError] = InputError) -> str:
         hint = "save it as plain UTF-8 text (from a spreadsheet: CSV UTF-8)"
         raise error("the file is not UTF-8 text", hint=hint, file=str(path), line=line) from None
     except OSError as cause:
-        raise error(f"the file cannot be read: {_reason(cause)}", file=str(path)) from None
+        raise error(f"the file cannot be read: {cause_of(cause)}", file=str(path)) from None
 
 
 def present_file(path: Path) -> Path:
@@ -106,7 +107,7 @@ def write_all_atomically(
         raise _file_in_the_way(directory) from None
     except OSError as cause:
         hint = "check the permissions and the free space"
-        message = f"results cannot be written: {_reason(cause)}"
+        message = f"results cannot be written: {cause_of(cause)}"
         raise InputError(message, hint=hint, directory=str(directory)) from None
     finally:
         for temporary in staged.values():
@@ -136,7 +137,7 @@ def check_folder(folder: Path) -> None:
         tempfile.TemporaryFile(dir=nearest).close()
     except OSError as cause:
         hint = "check the permissions and the free space, or choose another directory"
-        message = f"results cannot be written: {_reason(cause)}"
+        message = f"results cannot be written: {cause_of(cause)}"
         raise InputError(message, hint=hint, directory=str(folder)) from None
 
 
@@ -157,7 +158,7 @@ def streamed_atomically(path: Path) -> Iterator[TextIO]:
     try:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     except OSError as cause:
-        raise InputError(f"results cannot be written: {_reason(cause)}", file=str(path)) from None
+        raise InputError(f"results cannot be written: {cause_of(cause)}", file=str(path)) from None
     temporary = Path(name)
     try:
         with os.fdopen(handle, "w", encoding="utf-8", errors="surrogateescape", newline="") as file:
@@ -169,7 +170,7 @@ def streamed_atomically(path: Path) -> Iterator[TextIO]:
         sync_directory(path.parent)
     except OSError as cause:
         hint = "check the permissions and the free space"
-        raise InputError(f"results cannot be written: {_reason(cause)}", hint=hint, file=str(path)) from None
+        raise InputError(f"results cannot be written: {cause_of(cause)}", hint=hint, file=str(path)) from None
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -186,7 +187,3 @@ def _stage(directory: Path, name: str, content: str | bytes, mode: int) -> Path:
         Path(temporary).unlink(missing_ok=True)
         raise
     return Path(temporary)
-
-
-def _reason(cause: OSError) -> str:
-    return (cause.strerror or str(cause)).lower()

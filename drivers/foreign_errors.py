@@ -7,7 +7,10 @@ from __future__ import annotations
 
 import errno
 from types import MappingProxyType
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    import ssl
 
 IN_THE_LOG: Final = "the log names the cause"
 _PRIMARY_CODE: Final = 0xFF
@@ -42,6 +45,7 @@ BY_ERRNO: Final = MappingProxyType(
         errno.EEXIST: "a file of this name exists",
         errno.ENAMETOOLONG: "the name is too long",
         errno.ENOMEM: "out of memory",
+        errno.ENOBUFS: "the queue of the network interface is full",
     }
 )
 
@@ -60,6 +64,25 @@ BY_SQLITE_CODE: Final = MappingProxyType(
         26: "the file is not a database",
     }
 )
+
+# by the codes of https://docs.openssl.org/master/man3/X509_STORE_CTX_get_error/
+BY_CERTIFICATE_CODE: Final = MappingProxyType(
+    {
+        2: "its issuer is not known",
+        9: "it is not valid yet",
+        10: "it has expired",
+        18: "it is signed by itself",
+        19: "its chain ends with one that is signed by itself",
+        20: "its issuer is not known",
+        21: "its chain is not complete",
+        23: "it is revoked",
+        62: "it is for another name",
+        64: "it is for another address",
+    }
+)
+UNKNOWN_NAME: Final = "the name of the host is not known"
+NO_TLS: Final = "no TLS connection can be made"
+NO_ANSWER: Final = "no answer"
 
 
 class OurWords:
@@ -87,6 +110,27 @@ def cause_of(error: BaseException) -> str:
     return IN_THE_LOG
 
 
+def certificate_cause(error: ssl.SSLCertVerificationError) -> str:
+    """Return why a certificate is not accepted, in our own words."""
+    return BY_CERTIFICATE_CODE.get(error.verify_code, f"code {error.verify_code} of OpenSSL")
+
+
 def _of_number(error: BaseException) -> str | None:
-    number = error.errno if isinstance(error, OSError) else None
-    return None if number is None else BY_ERRNO.get(number)
+    """Return the cause of an error of the operating system.
+
+    Errors of names and of TLS are of the same class with numbers of their own, which mean something else.
+    """
+    if not isinstance(error, OSError):
+        return None
+    import socket  # noqa: PLC0415  only once something has failed
+    import ssl  # noqa: PLC0415
+
+    if isinstance(error, socket.gaierror | socket.herror):
+        return UNKNOWN_NAME
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return f"the certificate is not accepted: {certificate_cause(error)}"
+    if isinstance(error, ssl.SSLError):
+        return NO_TLS
+    if error.errno is None:
+        return NO_ANSWER if isinstance(error, TimeoutError) else None
+    return BY_ERRNO.get(error.errno)

@@ -16,6 +16,7 @@ import click
 from agent.cli.errors import VolcalGroup, fail, reported
 from agent.cli.invocation import will_run
 from agent.cli.options import PATH, config_option
+from agent.language.sentences import LANGUAGES, Language
 
 if will_run():
     from rich.table import Table
@@ -140,19 +141,20 @@ def compare_command(one: str, other: str, config: Path, as_json_object: bool) ->
 @history_group.command("plant")
 @config_option
 @click.option("--html", type=PATH, metavar="FILE", help="Write a page with all machines into this file.")
+@click.option("--language", type=click.Choice(LANGUAGES), help="Language of the page [default: `report.language`].")
 @_json
 @reported
-def plant_command(config: Path, html: Path | None, as_json_object: bool) -> None:
+def plant_command(config: Path, html: Path | None, language: Language | None, as_json_object: bool) -> None:
     """List all machines of the database: last run, verdict, VE, drift."""
     # The mathematics of trends is slow to import, and the list of runs does not need it.
     from agent.history.plant import RECENT_RUNS, plant_summaries  # noqa: PLC0415
     from agent.reports.plant_page import drift_text, plant_html  # noqa: PLC0415
 
     now = datetime.fromisoformat(utc_timestamp())
-    with _opened(config) as (_, store):
+    with _opened(config) as (settings, store):
         machines = plant_summaries(store.recent_runs(RECENT_RUNS), now)
     if html is not None:
-        write_atomically(html, plant_html(machines, store.address.text, now))
+        write_atomically(html, plant_html(machines, store.address.text, now, language or settings.report.language))
     if as_json_object:
         document = {"database": store.address.text, "machines": [one.as_json() for one in machines]}
         click.echo(json.dumps(document, allow_nan=False))

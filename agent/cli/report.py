@@ -35,24 +35,23 @@ LAST = "last"
 @click.option(
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder to write to [default: the folder of the run]."
 )
-@click.option(
-    "--language", type=click.Choice(LANGUAGES), default="en", show_default=True, help="Language of the report."
-)
+@click.option("--language", type=click.Choice(LANGUAGES), help="Language of the report [default: `report.language`].")
 @steps_option
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 @reported
 def report_command(
-    run: str, config: Path, pdf: bool, out: Path | None, language: Language, steps: Path | None, as_json: bool
+    run: str, config: Path, pdf: bool, out: Path | None, language: Language | None, steps: Path | None, as_json: bool
 ) -> None:
     """Write the report of RUN (its identity, or `last`) from the journal alone, whatever the outcome of the run."""
     with naming(config):
-        directory = read_settings(config).state_directory
+        settings = read_settings(config)
+    directory = settings.state_directory
     run_id = _identity(run, directory)
     if steps is not None:
         write_run_steps(directory, run_id, steps)
         return
     folder = out or directory / run_id
-    files = render_from_journal(directory, run_id, pdf=pdf, language=language)
+    files = render_from_journal(directory, run_id, pdf=pdf, language=language or settings.report.language)
     write_all_atomically(folder, files)
     written = [str(folder / name) for name in files]
     click.echo(json.dumps({"run_id": run_id, "files": written}) if as_json else "\n".join(written))

@@ -100,18 +100,42 @@ class Journal:
         The acknowledgement is stored as an event that is not part of the procedure, so the run can still be resumed.
         Raises JournalFailed if the event cannot be written.
         """
-        self._insert_after_end(run_id, "acknowledged", record, "the reset")
+        self._insert_aside(run_id, "acknowledged", record, "the reset")
 
     def record_alarm(self, run_id: str, record: Mapping[str, Any]) -> None:
         """Record durably the alarm with which the run `run_id` ended, in the same way as an acknowledgement."""
-        self._insert_after_end(run_id, "alarm", record, "the alarm")
+        self._insert_aside(run_id, "alarm", record, "the alarm")
 
-    def _insert_after_end(self, run_id: str, kind: str, record: Mapping[str, Any], what: str) -> None:
-        try:
-            self._connection.execute(
-                "INSERT INTO events (run, at, kind, record, aside) SELECT run, ?, ?, ?, 1 FROM runs WHERE run_id = ?",
-                (utc_timestamp(), kind, to_json(record), run_id),
+    def record_request(self, run_id: str, record: Mapping[str, Any]) -> None:
+        """Record durably what a person asked of the run `run_id` while it was in progress, and who if that is known.
+        The event is not part of the procedure, so the run can be resumed without it."""
+        self._insert_aside(run_id, "request", record, "the request")
+
+    def begin_idle_alarm(self, record: Mapping[str, Any]) -> None:
+        """Record durably an alarm that arose between runs. Raises JournalFailed if it cannot be written."""
+        self._execute(
+            "INSERT INTO idle_alarms (at, record) VALUES (?, ?)", (utc_timestamp(), to_json(record)), "the alarm"
+        )
+
+    def end_idle_alarms(self, records: Sequence[Mapping[str, Any]]) -> None:
+        """Record the end of the open alarms between runs that were recorded so."""
+        for record in records:
+            self._execute(
+                "UPDATE idle_alarms SET until = ? WHERE until IS NULL AND record = ?",
+                (utc_timestamp(), to_json(record)),
+                "the end of the alarm",
             )
+
+    def _insert_aside(self, run_id: str, kind: str, record: Mapping[str, Any], what: str) -> None:
+        self._execute(
+            "INSERT INTO events (run, at, kind, record, aside) SELECT run, ?, ?, ?, 1 FROM runs WHERE run_id = ?",
+            (utc_timestamp(), kind, to_json(record), run_id),
+            what,
+        )
+
+    def _execute(self, statement: str, values: Sequence[str], what: str) -> None:
+        try:
+            self._connection.execute(statement, values)
         except sqlite3.Error as error:
             raise JournalFailed(
                 f"{what} cannot be recorded: {cause_of(error)}", hint=_DISK_HINT, file=str(self.path)

@@ -66,13 +66,15 @@ _ALARMS = (  # SQLite takes the other columns from the row with the largest numb
     "closed AS (SELECT listed.*, (SELECT min(at) FROM events WHERE events.run = listed.run "
     "AND events.rowid > listed.number AND (kind = 'acknowledged' OR (kind = 'state' AND listed.kind = 'alarm'))) "
     "AS settled, (SELECT started FROM runs WHERE runs.run > listed.run ORDER BY runs.run LIMIT 1) AS followed "
-    "FROM listed) "
+    "FROM listed), shown (run_id, run_kind, number, at, until, kind, record) AS (SELECT run_id, runs.kind, "
+    "closed.number, at, min(coalesce(settled, followed), coalesce(followed, settled)), closed.kind, record "
+    "FROM closed JOIN runs USING (run) UNION ALL SELECT '', '', number, at, until, 'alarm', record FROM {idle}) "
 )
-ALARM = _ALARMS + (
-    "SELECT run_id, runs.kind, closed.number, at, min(coalesce(settled, followed), coalesce(followed, settled)), "
-    "closed.kind, record FROM closed JOIN runs USING (run) ORDER BY closed.number DESC LIMIT :limit OFFSET :offset"
-)
-ALARM_COUNT = _ALARMS + "SELECT count(*) FROM listed"
+ALARM = _ALARMS + "SELECT * FROM shown ORDER BY at DESC, run_id = '', number DESC LIMIT :limit OFFSET :offset"
+ALARM_COUNT = _ALARMS + "SELECT count(*) FROM shown"
+IDLE_ALARMS = "idle_alarms"
+NO_IDLE_ALARMS = "(SELECT NULL AS number, NULL AS at, NULL AS until, NULL AS record WHERE 0)"
+OPEN_IDLE_ALARM = "SELECT '', '', number, at, until, 'alarm', record FROM {idle} WHERE until IS NULL ORDER BY number"
 COMPACTED = "compacted_runs"
 NONE_COMPACTED = "(SELECT NULL AS run, NULL AS balls, NULL AS touches, NULL AS content WHERE 0)"
 CONTENT = "SELECT content FROM {compacted} WHERE run = :run"

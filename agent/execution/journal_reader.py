@@ -276,14 +276,19 @@ class JournalReader:
         return int(self._value(query, run=run, kind=kind))
 
     def alarms(self, limit: int, offset: int = 0) -> tuple[AlarmRow, ...]:
-        """Return at most `limit` alarms of all runs, the latest first, without the first `offset` ones.
+        """Return at most `limit` alarms, those of all runs and those between runs, the latest first, without the first
+        `offset` ones.
 
         An error that ended a run counts as an alarm if the service has recorded none, as with runs of the command line.
         """
-        return self._rows(AlarmRow, queries.ALARM, limit=limit, offset=offset)
+        return self._rows(AlarmRow, queries.ALARM.format(idle=self._idle_alarms()), limit=limit, offset=offset)
 
     def count_alarms(self) -> int:
-        return int(self._value(queries.ALARM_COUNT))
+        return int(self._value(queries.ALARM_COUNT.format(idle=self._idle_alarms())))
+
+    def open_idle_alarms(self) -> tuple[AlarmRow, ...]:
+        """Return the alarms between runs of which no end is recorded, the first one first."""
+        return self._rows(AlarmRow, queries.OPEN_IDLE_ALARM.format(idle=self._idle_alarms()))
 
     def decisions(self, run: int, *, procedure_only: bool = False) -> tuple[DecisionRow, ...]:
         query = queries.DECISION + "WHERE run = :run{aside} ORDER BY decisions.rowid"
@@ -418,9 +423,15 @@ class JournalReader:
                 self._connection.execute("COMMIT")
 
     def _compacted(self) -> str:
-        """Return the table of compacted runs; an empty one if an earlier program wrote the journal."""
+        return self._table(queries.COMPACTED, queries.NONE_COMPACTED)
+
+    def _idle_alarms(self) -> str:
+        return self._table(queries.IDLE_ALARMS, queries.NO_IDLE_ALARMS)
+
+    def _table(self, name: str, empty: str) -> str:
+        """Return the table `name`, or the `empty` one if an earlier program wrote the journal."""
         query = "SELECT 1 FROM main.sqlite_master WHERE name = :name"
-        return queries.NONE_COMPACTED if self._one(query, name=queries.COMPACTED) is None else queries.COMPACTED
+        return empty if self._one(query, name=name) is None else name
 
     def _unpack(self, run: int, content: bytes) -> None:
         """Fill the temporary tables with the rows of a compacted run, unless they have them already."""

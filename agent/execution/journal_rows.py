@@ -141,7 +141,8 @@ class EventRow(_Recorded):
 
 @dataclass(frozen=True)
 class AlarmRow(_Recorded):
-    """Alarm of a run of the kind `run_kind`. It was raised at the UTC time `at`.
+    """Alarm of a run of the kind `run_kind`; `run_id` and `run_kind` are empty if it arose between runs. It was raised
+    at the UTC time `at`.
 
     `until` is the UTC time at which the alarm was acknowledged, the run was resumed or the next run started, whichever
     came first; None if nothing of this is recorded. `kind` is ``alarm`` if the service has recorded the alarm, and

@@ -80,6 +80,12 @@ CREATE TABLE IF NOT EXISTS compacted_runs (
     touches INTEGER NOT NULL,
     content BLOB NOT NULL
 );
+CREATE TABLE IF NOT EXISTS idle_alarms (
+    number INTEGER PRIMARY KEY,
+    at TEXT NOT NULL,
+    until TEXT,
+    record TEXT NOT NULL
+);
 CREATE INDEX IF NOT EXISTS events_of_run ON events (run);
 CREATE INDEX IF NOT EXISTS decisions_of_run ON decisions (run);
 CREATE INDEX IF NOT EXISTS estimates_of_run ON estimates (run);

@@ -17,6 +17,7 @@ from agent.execution.journal_rows import RunRow
 from agent.files import write_all_atomically
 from agent.settings.history import HistorySettings
 from drivers.errors import InputError
+from drivers.foreign_errors import cause_of
 from twin.formats.compressed_text import MAX_TEXT_BYTES, SUFFIX, compress_text
 
 FILES = ("estimate.json",)
@@ -76,4 +77,4 @@ def _content(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise InputError(f"the file cannot be read: {error.strerror or error}", file=str(path)) from error
+        raise InputError(f"the file cannot be read: {cause_of(error)}", file=str(path)) from error

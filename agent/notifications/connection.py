@@ -16,6 +16,7 @@ from agent.notifications.notice import Notice
 from agent.settings.credentials import handed_over, open_mode
 from drivers.clock import Deadline, RealClock
 from drivers.errors import ConfigurationError, VolcalError
+from drivers.foreign_errors import OurWords, cause_of, certificate_cause
 
 _SHORTEST_S = 0.05
 
@@ -28,6 +29,10 @@ class DeliveryFailed(VolcalError):
 
 class NoticeRefused(DeliveryFailed):
     """A receiver answered that it does not take this notice; it may take others."""
+
+
+class ReceiverFailure(OurWords, OSError):
+    """Failure of a receiver that no class of Python describes; its text is ours."""
 
 
 class Channel(Protocol):
@@ -75,7 +80,7 @@ class BoundedConnections:
         return connected
 
     def _first_connected(self, addresses: Sequence[tuple[int, int, int, str, Any]]) -> socket.socket:
-        failure = OSError("the name of the receiver has no address")
+        failure: OSError = ReceiverFailure("the name of the receiver has no address")
         for tried, (family, kind, protocol, _, address) in enumerate(addresses):
             candidate = socket.socket(family, kind, protocol)
             try:
@@ -128,10 +133,10 @@ def _reason(error: Exception, timeout_s: float, *, expired: bool) -> str:
     if expired or isinstance(error, TimeoutError):
         return f"no complete answer within {timeout_s:g} s"
     if isinstance(error, ssl.SSLCertVerificationError):
-        return f"the certificate of the receiver is not accepted: {error.verify_message}"
+        return f"the certificate of the receiver is not accepted: {certificate_cause(error)}"
     if isinstance(error, OSError) and error.strerror:
-        return f"the receiver cannot be reached: {error.strerror.lower()}"
-    return f"the receiver does not keep to the protocol: {str(error) or type(error).__name__}"
+        return f"the receiver cannot be reached: {cause_of(error)}"
+    return f"the receiver does not keep to the protocol: {cause_of(error)}"
 
 
 def tls_context(ca_file: Path | None, key: str) -> ssl.SSLContext:

@@ -24,11 +24,13 @@ _GROWTH = 2.0
 @dataclass(frozen=True)
 class ReceiverState:
     """State of a channel. `waiting` is the number of notices that it has not delivered yet. `problem` is the reason why
-    the last attempt failed; it is empty if it did not."""
+    the last attempt failed, and `since` the UTC time of the first of the failures in a row; both are empty if it did
+    not."""
 
     channel: str
     waiting: int = 0
     problem: str = ""
+    since: str = ""
 
 
 def _utc_now() -> datetime:
@@ -63,7 +65,7 @@ class Courier:
         self._utc_now = utc_now
         self._not_before_s = float("-inf")
         self._pause_s = FIRST_PAUSE_S
-        self._problem = ""
+        self._problem = self._since = ""
         self._shown = ReceiverState(name)
 
     def attempt(self) -> float | None:
@@ -95,7 +97,7 @@ class Courier:
         return self._pause_s
 
     def state(self) -> ReceiverState:
-        return ReceiverState(self.name, self._outbox.count(self.name), self._problem)
+        return ReceiverState(self.name, self._outbox.count(self.name), self._problem, self._since)
 
     def _drop_old(self) -> None:
         while (notice := self._outbox.next_for(self.name)) is not None and is_older(
@@ -107,7 +109,7 @@ class Courier:
     def _failed(self, problem: str) -> None:
         self._pause_s = FIRST_PAUSE_S if not self._problem else min(self._pause_s * _GROWTH, LONGEST_PAUSE_S)
         self._not_before_s = self._now() + self._pause_s
-        former, self._problem = self._problem, problem
+        former = self._set_problem(problem)
         self._show()
         if not former:  # once for each disturbance, however many attempts it takes
             self._tell(f"{self.name} does not deliver; it is tried again: {problem}")
@@ -115,13 +117,22 @@ class Courier:
     def _delivered(self, notice: Notice, complaint: str) -> None:
         self._outbox.remove(notice, self.name)
         self._not_before_s = float("-inf")
-        former, self._problem = self._problem, complaint
+        former = self._set_problem(complaint)
         self._show()
         if complaint and complaint != former:
             self._tell(f"{self.name} delivers only in part: {complaint}")
         elif former and not complaint:
             self._note(f"notifications: {self.name} delivers again")
             log.info("a channel delivers again", channel=self.name)
+
+    def _set_problem(self, problem: str) -> str:
+        """Keep a problem, or that there is none, and return the former one."""
+        former, self._problem = self._problem, problem
+        if not problem:
+            self._since = ""
+        elif not former:
+            self._since = f"{self._utc_now():%Y-%m-%dT%H:%M:%SZ}"
+        return former
 
     def _show_if_changed(self) -> None:
         """Show that notices were dropped, or that more have come during a pause."""

@@ -77,7 +77,8 @@ class MailChannel:
                 with suppress(OSError, smtplib.SMTPException):  # the mail is taken, whatever the server says now
                     client.quit()
             except smtplib.SMTPNotSupportedError as error:
-                raise DeliveryFailed(f"the server cannot do this: {error}", receiver=receiver) from error
+                text = "the server does not offer what the settings require: STARTTLS or a log-in with a password"
+                raise DeliveryFailed(text, receiver=receiver) from error
             except smtplib.SMTPRecipientsRefused as error:
                 raise DeliveryFailed(_refusals(error.recipients), receiver=receiver) from error
             except smtplib.SMTPResponseException as error:

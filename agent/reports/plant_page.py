@@ -10,17 +10,27 @@ from markupsafe import Markup
 
 from agent.history.plant import MachineSummary
 from agent.html_templates import html_template
+from agent.language.sentences import Language, as_it_is
+from agent.reports.page.german import page_in_language
+from agent.reports.run_report import TITLES
 
 SPARK_WIDTH, SPARK_HEIGHT = 120.0, 24.0
 
 
-def plant_html(machines: Sequence[MachineSummary], database: str, now: datetime) -> str:
+def plant_html(machines: Sequence[MachineSummary], database: str, now: datetime, language: Language = "en") -> str:
     """Return the page. `database` is the address of the history without its password, `now` the time of the reading."""
+    return page_in_language(_english(machines, database, now), language)
+
+
+def _english(machines: Sequence[MachineSummary], database: str, now: datetime) -> str:
     style = resources.files("agent.reports.page").joinpath("report.css").read_text(encoding="utf-8")
     return html_template("agent.reports", "plant.html").render(
         css=Markup(style),  # noqa: S704  a file of this package
-        rows=[(one, drift_text(one), spark_points(one)) for one in machines],
-        database=database,
+        rows=[
+            (as_it_is(one.machine), one, TITLES.get(one.last.kind, one.last.kind), drift_text(one), spark_points(one))
+            for one in machines
+        ],
+        database=as_it_is(database),
         date=f"{now:%Y-%m-%d %H:%M} UTC",
         width=SPARK_WIDTH,
         height=SPARK_HEIGHT,

@@ -14,32 +14,35 @@ from agent.history.schema import StoredRun
 from agent.history.store import stored_run
 from agent.history.trends import Trend
 from agent.language.sentences import Language
-from agent.reports.page.german import report_in_german
 from agent.reports.page.pdf import render_pdf
 from agent.reports.page.render import render_report
 from agent.reports.run_report import report_of
 from agent.settings.history import HistorySettings
+from agent.settings.report import ReportSettings
 
 MIN_RUNS = 3
 _MOST_TRENDS = 4
 
 
 def render_from_journal(
-    directory: Path, run_id: str, *, pdf: bool, language: Language = "en"
+    directory: Path, run_id: str, *, pdf: bool, language: Language | None = None
 ) -> dict[str, str | bytes]:
     """Return the files of the report of the run `run_id`: `report.html` and, if `pdf` is set, `report.pdf`.
 
-    `directory` is the state directory with the journal. Raises InputError if there is no such run, or if its record
-    does not suffice for a report.
+    `directory` is the state directory with the journal. If `language` is None, it is the one of the settings of the
+    run. Raises InputError if there is no such run, or if its record does not suffice for a report.
     """
     record = read_record(directory, run_id)
-    page = render_report(report_of(record, _trend_figure(directory, record)))
-    if language == "de":
-        page = report_in_german(page)
+    data = report_of(record, _trend_figure(directory, record))
+    page = render_report(data, language=language or _language_of(record))
     files: dict[str, str | bytes] = {"report.html": page}
     if pdf:
         files["report.pdf"] = render_pdf(page)
     return files
+
+
+def _language_of(record: RunRecord) -> Language:
+    return ReportSettings.model_validate(record.settings.get("report", {})).language
 
 
 def _trend_figure(directory: Path, record: RunRecord) -> str:

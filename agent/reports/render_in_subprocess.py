@@ -32,7 +32,7 @@ TEXT_SUFFIXES = frozenset({".html"})
 
 
 def render_in_subprocess(
-    directory: Path, run_id: str, *, pdf: bool, language: Language = "en"
+    directory: Path, run_id: str, *, pdf: bool, language: Language | None = None
 ) -> dict[str, str | bytes]:
     """Return the files that `agent.reports.render_from_journal.render_from_journal` returns, but render them in a
     subprocess.
@@ -41,7 +41,7 @@ def render_in_subprocess(
     """
     with tempfile.TemporaryDirectory(prefix="volcal-report-") as folder:
         command = [sys.executable, "-P", "-m", "agent.reports.render_in_subprocess", str(directory), run_id, folder]
-        command += ["--language", language]
+        command += [] if language is None else ["--language", language]
         _run([*command, "--pdf"] if pdf else command, run_id)
         return {path.name: _read(path) for path in sorted(Path(folder).iterdir())}
 
@@ -75,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("run_id")
     parser.add_argument("into", type=Path)
     parser.add_argument("--pdf", action="store_true")
-    parser.add_argument("--language", choices=LANGUAGES, default=LANGUAGES[0])
+    parser.add_argument("--language", choices=LANGUAGES)
     chosen = parser.parse_args(arguments)
     from agent.reports.render_from_journal import render_from_journal  # noqa: PLC0415  the parent process must not load it
 

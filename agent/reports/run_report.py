@@ -21,6 +21,7 @@ from agent.execution.journal_rows import EventRow
 from agent.execution.run_record import RunRecord
 from agent.files import translated
 from agent.language.records import record_in_words
+from agent.language.sentences import as_it_is
 from agent.reports.page import (
     EventLine,
     Header,
@@ -44,7 +45,7 @@ from agent.results.facts import ArtefactFacts, ProbeFacts, ProbeRing, Quantity, 
 from agent.results.gates import Gate
 from agent.results.homing_scatter import HomingScatter, after_homing_text
 from agent.results.run_outcome import Decision
-from agent.results.run_requester import requester_of
+from agent.results.run_requester import BY, requester_of
 from agent.results.run_verdict import RunVerdict, run_figures, verdict_of
 from agent.results.travel_parts import TravelParts
 from agent.thermal.thermometer import ThermometerFacts
@@ -77,9 +78,9 @@ def report_of(record: RunRecord, trend: str = "", texts: Texts = ENGLISH) -> Rep
     found = _found(record)
     return ReportData(
         header=_header(record, found),
-        machine=inputs["machine"],
+        machine=as_it_is(inputs["machine"]),
         artefact=ArtefactFacts(**inputs["artefact"]),
-        tool_name=tool,
+        tool_name=as_it_is(tool),
         tool_offset=tuple(inputs["tools_mm"][tool]),
         identification=found,
         gates=_gates(record),
@@ -107,7 +108,7 @@ def _header(record: RunRecord, found: IdentificationData | None) -> Header:
         software_version=record.software,
         state=record.state if record.ended else f"{record.state}, interrupted",
         verdict=_verdict(record),
-        position_set=Path(asked_for).name if found is None else name_of_positions(found.positions),
+        position_set=as_it_is(Path(asked_for).name) if found is None else name_of_positions(found.positions),
         settings=shown,
     )
 
@@ -264,9 +265,10 @@ _RING_ARRAYS = ("angle_deg", "residual_um", "map_angle_deg", "map_um")
 
 
 def _provenance(record: RunRecord, inputs: Mapping[str, Any]) -> Provenance:
+    asked = record.event("asked") or {}
     return Provenance(
-        started_by=requester_of(record.event("asked")),
-        files=tuple((file["name"], file["sha256"]) for file in inputs["files"]),
+        started_by=requester_of({**asked, BY: as_it_is(str(asked.get(BY, "")))}),
+        files=tuple((as_it_is(file["name"]), file["sha256"]) for file in inputs["files"]),
         settings_sha256=hashlib.sha256(record.settings_text.encode()).hexdigest(),
     )
 
@@ -321,8 +323,12 @@ def _line(note: EventRow) -> str:
     """Return the text of an event: the name of the new state and the reason, or the record in words."""
     if note.kind == "state":
         reason = note.record.get("reason")
-        return f"{note.record['state']}: {reason}" if reason else str(note.record["state"])
-    return record_in_words(note.record)
+        state = str(note.record["state"])
+        if reason and str(reason).startswith(f"{state}: "):  # the reason of an abort says so itself
+            return str(reason)
+        return f"{state}: {reason}" if reason else state
+    by = as_it_is(str(note.record.get(BY, "")))
+    return "; ".join(part for part in (record_in_words(note.record), by) if part)
 
 
 def night_of(record: RunRecord) -> Mapping[str, Any] | None:

@@ -15,6 +15,7 @@ from pathlib import Path
 from agent.settings.credentials import handed_over, open_mode
 from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError
+from drivers.foreign_errors import cause_of
 
 FILE_NAME = "token"
 MIN_LENGTH = 16
@@ -37,7 +38,7 @@ def make_token(settings: Settings) -> None:
             file.write(f"{secrets.token_urlsafe(32)}\n")
     except OSError as error:
         raise ConfigurationError(
-            f"the token cannot be written: {error.strerror or error}", key="state_directory", file=str(path)
+            f"the token cannot be written: {cause_of(error)}", key="state_directory", file=str(path)
         ) from error
 
 
@@ -48,7 +49,7 @@ def read_token(path: Path) -> str:
         mode = open_mode(path)
         text = path.read_text(encoding="ascii").strip()
     except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not plain text"
+        reason = cause_of(error) if isinstance(error, OSError) else "it is not plain text"
         raise ConfigurationError(
             f"the token cannot be read: {reason}",
             key="service.token_file",

@@ -16,6 +16,7 @@ from agent.settings.history import HistorySettings
 from agent.settings.notifications import NotificationSettings
 from agent.settings.opcua import OpcUaSettings
 from agent.settings.panel_gateway import GatewaySettings
+from agent.settings.report import ReportSettings
 from agent.settings.service import ServiceSettings
 from agent.settings.temperature import TemperatureSettings
 from twin.artefact.mount_geometry import MountGeometry, without_mount
@@ -341,6 +342,7 @@ class Settings(StrictModel):
     gateway: GatewaySettings = GatewaySettings()
     opcua: OpcUaSettings = OpcUaSettings()
     notifications: NotificationSettings = NotificationSettings()
+    report: ReportSettings = ReportSettings()
 
     @model_validator(mode="before")
     @classmethod

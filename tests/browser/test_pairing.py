@@ -74,8 +74,10 @@ def test_a_phone_is_paired_and_starts_what_it_may(chromium: Browser, house: Serv
         # the address of the QR code pairs at once, also in a page that is open already, and stays nowhere
         address = told(house, "--role", "engineer", "--name", "tablet")["address"]
         assert re.fullmatch(rf"{re.escape(house.url)}/#pair=\d{{6}}", address)
+        page.route("**/api/access", lambda route: route.fulfill(status=503))
         page.goto(address)
         expect(page.locator("#token")).to_have_text("Engineer · tablet")
+        page.unroute("**/api/access")
         expect(page.locator("#diagnostics")).to_be_visible()
         assert page.evaluate("location.href") == f"{house.url}/"
         fits(page)

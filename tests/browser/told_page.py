@@ -31,6 +31,15 @@ RUN_SUMMARY = {
     "ve_um": 31.63, "vce_um": 12.34, "held_out_before_um": 20.0, "held_out_after_um": 3.0, "report": False,
 }  # fmt: skip
 QUESTION = {"number": 3, "text": "carry the artefact", "station": 2, "placement": None}
+RECEIVERS = [
+    {"channel": "mqtt", "waiting": 0, "problem": "", "since": ""},
+    {
+        "channel": "mail",
+        "waiting": 2,
+        "problem": "the receiver cannot be reached: no answer (receiver mail server mail.plant.example)",
+        "since": "2026-11-28T03:15:00Z",
+    },
+]
 LINKS = [{"device": "cnc", "ok": True, "problem": ""}, {"device": "mount", "ok": False, "problem": "no answer"}]
 
 
@@ -46,7 +55,10 @@ def views() -> Iterator[tuple[str, dict[str, Any]]]:
     for verdict in VERDICTS:
         yield verdict.name, {**status(RunState.COMPLETE), "verdict": verdict.as_json()}
     yield "question", {**status(RunState.HELD), "question": QUESTION}
-    yield "alarms", {**status(RunState.FAULTED, unfinished=True), "alarms": [ALARM, ALARM, ALARM]}
+    yield (
+        "alarms",
+        {**status(RunState.FAULTED, unfinished=True), "alarms": [ALARM, ALARM, ALARM], "receivers": RECEIVERS},
+    )
     yield "unfinished", {**status(RunState.IDLE, unfinished=True), "active_bank": None, "read_problem": "no answer"}
     yield "unproved", unproved_status()
 

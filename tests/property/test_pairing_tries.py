@@ -18,6 +18,10 @@ from drivers.clock import VirtualClock
 from twin.units import S_PER_MIN
 
 
+def as_it_is(invitation: Invitation) -> Invitation:
+    return invitation
+
+
 class PairingTries(RuleBasedStateMachine):
     """Model: the time of each judged try, and of each code its end, its wrong tries and whether it was used."""
 
@@ -61,7 +65,7 @@ class PairingTries(RuleBasedStateMachine):
         good = back == 0 and bool(self.opened) and not self.used and self.wrong < MAX_WRONG_TRIES and now < self.ends
         recent = sum(now - at < S_PER_MIN for at in self.judged)
         try:
-            invitation = self.pairing.use(code)
+            invitation = self.pairing.use(code, as_it_is)
         except TooManyTries as error:
             assert recent >= MAX_TRIES_PER_MINUTE
             assert 0.0 < error.wait_s <= S_PER_MIN

@@ -103,7 +103,7 @@ def test_stations_with_a_mount_of_their_own_are_not_moved():
 
 def test_people_are_shown_what_a_machine_reads():
     result = volcal("design", *CASE, "--positions", "3", "--verify-set", *COARSE)
-    for words in ("valuation", "S3 of the settings", "passed: no collision", "positions_deg = [[", "design.csv"):
+    for words in ("benefit", "S3 of the settings", "passed: no collision", "positions_deg = [[", "design.csv"):
         assert words in result.stdout
 
 

@@ -317,7 +317,7 @@ def test_a_name_that_does_not_exist_cannot_be_reached(name: str, monkeypatch: py
         "webhook": {"url": "https://receiver.example/"},
         "mail": {"host": "receiver.example", "security": "starttls"},
     }
-    with pytest.raises(DeliveryFailed, match="cannot be reached: name or service not known") as failed:
+    with pytest.raises(DeliveryFailed, match="cannot be reached: the name of the host is not known") as failed:
         CHANNELS[name](1, **chosen[name]).send(notice())
     assert "receiver.example" in failed.value.where["receiver"]
 

@@ -26,12 +26,13 @@ from agent.execution.journal import Journal
 from agent.execution.journal_reader import open_journal
 from agent.execution.states import RunState
 from agent.results.decision_kinds import OUTCOME, PROOF
+from agent.service.control import Alarm
 from agent.service.daemon.endpoints import open_endpoints
 from agent.service.opcua.companion_types import ALERT, DEVICES, MACHINE_TOOL, MACHINERY, RESULT
 from agent.service.opcua.endpoint import OpcUaEndpoint
-from agent.service.opcua.machine_model import LAST, LAST_META, MACHINE_VARIABLES
+from agent.service.opcua.machine_model import LAST, LAST_META, MACHINE_VARIABLES, READY_EVENT, RESULTS
 from agent.service.opcua.model import NAMESPACE
-from agent.service.opcua.node_sets import read_node_sets
+from agent.service.opcua.node_sets import further_node_sets, read_node_sets
 from agent.settings.opcua import OpcUaSettings
 from drivers.clock import VirtualClock
 
@@ -48,7 +49,8 @@ BAD_NO_DATA, WAITING = ua.StatusCodes.BadNoData, ua.StatusCodes.BadWaitingForIni
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory) -> Iterator[World]:
-    yield from opened(tmp_path_factory.mktemp("opcua"), identification=PLATE)
+    sets = further(tmp_path_factory.mktemp("further"))
+    yield from opened(tmp_path_factory.mktemp("opcua"), identification=PLATE, node_sets=sets)
 
 
 @pytest.fixture(autouse=True)
@@ -113,6 +115,18 @@ def test_the_machine_has_the_published_types_and_nothing_that_was_not_read(world
     asyncio.run(scene())
 
 
+def test_a_further_node_set_of_the_directory_is_loaded_with_what_it_builds_on(world):
+    async def scene() -> None:
+        async with world.connected() as client:
+            uris = await client.get_namespace_array()
+            kind = client.get_node(ua.NodeId(ua.Int32(1), ua.Int16(uris.index("urn:further"))))
+            assert (await kind.read_browse_name()).Name == "GaugeType"
+            (above,) = await kind.get_referenced_nodes(ua.ObjectIds.HasSubtype, ua.BrowseDirection.Inverse)
+            assert (await above.read_browse_name()).Name == "ElementMonitoringType"
+
+    asyncio.run(scene())
+
+
 def test_state_result_and_alerts_follow_the_run(world):
     async def scene() -> None:
         async with world.connected() as client:
@@ -125,6 +139,17 @@ def test_state_result_and_alerts_follow_the_run(world):
             assert (number, (await state.read_browse_name()).Name) == (1, "Executing")
             assert await machine_node(client, "Production.ActiveProgram.JobIdentifier").read_value() == "r-1"
 
+            heard: asyncio.Queue = asyncio.Queue()
+
+            class Handler:
+                def event_notification(self, event) -> None:
+                    heard.put_nowait(event)
+
+            subscription = await client.create_subscription(50, Handler())
+            uris = await client.get_namespace_array()
+            ready = client.get_node(ua.NodeId(ua.String(READY_EVENT), ua.Int16(uris.index(NAMESPACE))))
+            await client.load_data_type_definitions()
+            await subscription.subscribe_events(machine_node(client, RESULTS), ready)
             ended = calibrated(world.state, "r-1", vce_um=3.5)
             world.control.now(RunState.COMPLETE)
             world.control.tell("outcome", "accepted")
@@ -136,20 +161,22 @@ def test_state_result_and_alerts_follow_the_run(world):
             unit = await machine_node(client, f"{LAST}.VCE.EngineeringUnits").read_value()
             assert (unit.UnitId, unit.DisplayName.Text) == (13384, "µm")
 
-            heard: asyncio.Queue = asyncio.Queue()
+            event = await asyncio.wait_for(heard.get(), WITHIN_S)
+            assert event.Result.ResultMetaData.ResultId == "r-1"
+            assert event.Message.Text.startswith("The new table")
 
-            class Handler:
-                def event_notification(self, event) -> None:
-                    heard.put_nowait(event)
-
-            subscription = await client.create_subscription(50, Handler())
-            uris = await client.get_namespace_array()
             alert = client.get_node(ua.NodeId(ua.Int32(ALERT.number), ua.Int16(uris.index(ALERT.namespace))))
             await subscription.subscribe_events(machine_node(client, "Notification.Messages"), alert)
             world.control.fault()
             event = await asyncio.wait_for(heard.get(), WITHIN_S)
             assert (event.ErrorCode, event.Severity, event.Retain) == ("311", 800, True)
             assert event.Message.Text == "the mount does not answer. check the cable"
+            # a client that connects later asks for what is open, and gets it between two marks
+            refresh = client.get_node(ua.NodeId(ua.Int32(ua.ObjectIds.ConditionType_ConditionRefresh)))
+            conditions = client.get_node(ua.ObjectIds.ConditionType)
+            await conditions.call_method(refresh, ua.Variant(subscription.subscription_id, ua.VariantType.UInt32))
+            event = await asyncio.wait_for(heard.get(), WITHIN_S)
+            assert (event.ErrorCode, event.Retain) == ("311", True)
             world.control.reset()
             event = await asyncio.wait_for(heard.get(), WITHIN_S)
             assert (event.ErrorCode, event.Retain) == ("311", False)
@@ -211,10 +238,30 @@ def changed(directory: Path, name: str, pattern: str, by: str) -> Path:
     return path.parent
 
 
+FURTHER = """<UANodeSet xmlns="http://opcfoundation.org/UA/2011/03/UANodeSet.xsd">
+<NamespaceUris><Uri>urn:further</Uri><Uri>http://opcfoundation.org/UA/MachineTool/</Uri></NamespaceUris>
+<Models><Model ModelUri="urn:further" Version="1.0.0" PublicationDate="2026-01-01T00:00:00Z">
+<RequiredModel ModelUri="{required}" PublicationDate="2024-11-01T00:00:00Z"/></Model></Models>
+<UAObjectType NodeId="ns=1;i=1" BrowseName="1:GaugeType"><DisplayName>GaugeType</DisplayName><References>
+<Reference ReferenceType="i=45" IsForward="false">ns=2;i=23</Reference></References></UAObjectType></UANodeSet>"""
+"""Node set of a type below ElementMonitoringType of Machine Tools, as those of other specifications."""
+
+
+def further(directory: Path, required: str = MACHINE_TOOL) -> Path:
+    sets = copied(directory)
+    (sets / "further.xml").write_text(FURTHER.format(required=required))
+    return sets
+
+
 MACHINE_TOOL_FILE = "Opc.Ua.MachineTool.NodeSet2.xml"
 BAD = {
     "missing folder": (lambda d: d / "none", "does not exist"),
     "cut off": (lambda d: changed(d, MACHINE_TOOL_FILE, r"(.{20000}).*", r"\1"), "cannot be read"),
+    "two of one namespace": (
+        lambda d: Path(shutil.copy(copied(d) / MACHINE_TOOL_FILE, d / "sets" / "older.xml")).parent,
+        "MachineTool.NodeSet2.xml and older.xml have the same namespace",
+    ),
+    "a set that builds on another one": (lambda d: further(d, "urn:none"), "builds on urn:none, which is not here"),
     "another document": (lambda d: changed(d, MACHINE_TOOL_FILE, r".*", "<svg/>"), "not a UANodeSet"),
     "another namespace": (
         lambda d: changed(d, MACHINE_TOOL_FILE, '<Model ModelUri="[^"]*', '<Model ModelUri="urn:x'),
@@ -238,20 +285,33 @@ NOT_IMPORTED = {
 def test_an_unusable_node_set_is_named_with_what_to_do(tmp_path, what):
     make, words = BAD[what]
     with pytest.raises(EndpointUnavailable, match=words) as caught:
-        read_node_sets(make(tmp_path))
+        further_node_sets(read_node_sets(make(tmp_path)))
     assert caught.value.where["key"] == "opcua.node_sets"
     assert str(tmp_path) in caught.value.where["file"]
-    assert "UA-Nodeset" in caught.value.hint
+    assert "UA-Nodeset" in caught.value.hint or "keep one" in caught.value.hint
 
 
 @pytest.mark.parametrize("what", list(NOT_IMPORTED))
 def test_without_usable_node_sets_the_service_goes_on_and_says_so(tmp_path, what):
     make, words = NOT_IMPORTED[what]
     endpoint = OpcUaEndpoint(OpcUaSettings(node_sets=make(tmp_path)), tmp_path, TOKEN)
-    notes: list[str] = []
-    with open_endpoints([endpoint], FakeControl(), notes.append) as open_ones:
+    alarms: list[Alarm] = []
+    with open_endpoints([endpoint], FakeControl(), alarms.append) as open_ones:
         assert open_ones == []
-    (note,) = notes
-    assert re.search(words, note)
-    assert note.startswith("the service goes on without OPC UA")
-    assert MACHINE_TOOL_FILE in note
+    (alarm,) = alarms
+    assert re.search(words, alarm.text)
+    assert alarm.text.startswith("the service goes on without OPC UA")
+    assert (alarm.code, alarm.where["endpoint"]) == (203, "OPC UA")
+    assert MACHINE_TOOL_FILE in alarm.where["file"]
+
+
+def test_no_defect_of_the_machine_space_keeps_the_service_from_starting(tmp_path, monkeypatch) -> None:
+    async def fails(*_: object) -> None:
+        raise KeyError("a reference to a type that the node set does not have")
+
+    monkeypatch.setattr("agent.service.opcua.machine_space.load_node_sets", fails)
+    alarms: list[Alarm] = []
+    endpoint = OpcUaEndpoint(OpcUaSettings(), tmp_path, TOKEN)
+    with open_endpoints([endpoint], FakeControl(), alarms.append) as open_ones:
+        assert open_ones == []
+    assert alarms[0].text == "the service goes on without OPC UA: the server cannot be built: the log names the cause"

@@ -279,7 +279,7 @@ def _show(
         ("with the latencies", found.problem.job.latencies_text),
         ("VE expected", f"{volumetric.before.aligned_um:.2f} µm aligned"),
         ("VCE expected", f"{volumetric.after.aligned_um:.2f} µm aligned"),
-        ("valuation", f"{volumetric.percent:.1f} % of the volumetric error removed"),
+        ("benefit", f"{volumetric.percent:.1f} % of the volumetric error removed"),
         ("preflight", "passed: no collision, no limit" if found.preflight_passed else "vetted, not run"),
         *((rival.name, f"{rival.vce_um:.2f} µm in {rival.minutes:.1f} min") for rival in rivals),
         ("took", f"{seconds:.1f} s"),
@@ -313,7 +313,7 @@ def _verification(found: DesignResult) -> str:
 
 def _comparison(choices: list[VariantDesign]) -> Table:
     table = columns_table(
-        ("touches", "balls", "of them measured", "θ / °", "positions", "min", "VCE / µm", "valuation / %", "")
+        ("touches", "balls", "of them measured", "θ / °", "positions", "min", "VCE / µm", "benefit / %", "")
     )
     for choice in choices:
         variant, found = choice.variant, choice.design

@@ -217,7 +217,7 @@ def _table(
         ("rank", f"{expectation.rank} of {expectation.parameters} parameters"),
         ("expected VCE", f"{expectation.vce.aligned_um:.2f} µm aligned"),
         ("after a homing", after_homing_text(_after_homing(job, expectation))),
-        ("valuation", f"{valuation.percent:.1f} % of the volumetric error is expected to be removed"),
+        ("benefit", f"{valuation.percent:.1f} % of the volumetric error is expected to be removed"),
         ("change while measuring", _hidden(job)),
         *([] if verified is None else [("found by a verification", power_text(verified))]),
         ("preflight took", f"{preflight.wall_seconds:.2f} s for {preflight.commands} steps"),

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -72,9 +73,14 @@ def _rows(status: Mapping[str, Any]) -> list[tuple[str, str]]:
         rows.append((f"question {question['number']}", question["text"]))
     for one in status.get("receivers", ()):
         if one["problem"]:
-            rows.append((f"{one['channel']} fails", f"{one['waiting']} notices wait: {one['problem']}"))
+            since = _since(one.get("since", ""))
+            rows.append((f"{one['channel']} fails", f"{one['waiting']} waiting{since}: {one['problem']}"))
     rows += [(f"alarm {a['code']}", f"{a['text']}. {a['hint']}") for a in status["alarms"]]
     return [*rows, ("accepted requests", ", ".join(status["may"]) or "none")]
+
+
+def _since(utc: str) -> str:
+    return f" since {datetime.fromisoformat(utc).astimezone():%Y-%m-%d %H:%M}" if utc else ""
 
 
 def _phase(status: Mapping[str, Any]) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from agent.language.sentences import as_it_is
 from agent.reports.page.data import IdentificationData, ReportData
 from agent.reports.page.number_format import Rows, fixed, micrometres, number, plural, point
 from agent.reports.page.texts import Texts
@@ -83,7 +84,7 @@ def identity(data: ReportData) -> Rows:
         rows += _machine(identification)
     rows += [
         ("Tool offset", f"{data.tool_name} {point(data.tool_offset)}"),
-        ("Artefact", f"{artefact.name}, {artefact.balls} balls of {number(artefact.ball_diameter_mm, 5)} mm"),
+        ("Artefact", f"{as_it_is(artefact.name)}, {artefact.balls} balls of {number(artefact.ball_diameter_mm, 5)} mm"),
         ("Certificate", artefact.certificate),
     ]
     if identification is not None:

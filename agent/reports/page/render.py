@@ -9,9 +9,11 @@ import numpy as np
 from markupsafe import Markup
 
 from agent.html_templates import html_template
+from agent.language.sentences import Language
 from agent.reports.page import identification_sections, run_sections
 from agent.reports.page.data import IdentificationData, ReportData
 from agent.reports.page.figures import report_figures
+from agent.reports.page.german import page_in_language
 from agent.reports.page.identity import identity, tiles, validity
 from agent.reports.page.number_format import plural
 from agent.reports.page.texts import ENGLISH, Texts
@@ -22,9 +24,13 @@ GOOD_STATES = ("complete", "idle", "held")
 GOOD_LOOKS = (Look.GOOD, Look.NEUTRAL)
 
 
-def render_report(data: ReportData, texts: Texts = ENGLISH) -> str:
+def render_report(data: ReportData, texts: Texts = ENGLISH, language: Language = "en") -> str:
     """Return the HTML text of the whole report. Equal data always give equal bytes. Rendering takes a few seconds at
     most."""
+    return page_in_language(_english(data, texts), language)
+
+
+def _english(data: ReportData, texts: Texts) -> str:
     style = resources.files("agent.reports.page").joinpath("report.css").read_text(encoding="utf-8")
     figures = {name: Markup(svg) for name, svg in report_figures(data).items()}  # noqa: S704  drawn by ourselves
     return html_template("agent.reports.page", "report.html").render(

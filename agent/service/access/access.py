@@ -43,14 +43,18 @@ class Access:
         return self.codes.open(invitation, minutes), invitation
 
     def pair(self, code: str) -> Pairing:
-        """Exchange a code for a token. Raise WrongCode, TooManyTries, or an error of `PairedClients.add`."""
+        """Exchange a code for a token. Raise WrongCode, TooManyTries, or an error of `PairedClients.add`, after which
+        the code can be used again."""
         try:
-            invitation = self.codes.use(code)
+            pairing = self.codes.use(code, self._admit)
         except (WrongCode, TooManyTries) as error:
             log.warning("pairing refused", reason=error.message)
             raise
+        log.info("client paired", name=pairing.requester.name, role=pairing.requester.role)
+        return pairing
+
+    def _admit(self, invitation: Invitation) -> Pairing:
         token = self.clients.add(invitation.name, invitation.role)
-        log.info("client paired", name=invitation.name, role=invitation.role)
         return Pairing(token, Requester(invitation.role, invitation.name))
 
     def revoke(self, name: str) -> None:

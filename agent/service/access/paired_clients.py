@@ -23,6 +23,7 @@ from agent.service.access.roles import ROLES, Requester, Role
 from agent.settings.credentials import open_mode
 from drivers.clock import utc_timestamp
 from drivers.errors import ConfigurationError, InputError, UserError
+from drivers.foreign_errors import cause_of
 
 FILE_NAME: Final = "paired-clients.json"
 OWNER_ONLY: Final = 0o600
@@ -123,7 +124,7 @@ def _read(path: Path) -> tuple[PairedClient, ...]:
     except FileNotFoundError:
         return ()
     except OSError as error:
-        raise _unusable(f"cannot be read: {error.strerror or error}", path, "check its owner and mode") from error
+        raise _unusable(f"cannot be read: {cause_of(error)}", path, "check its owner and mode") from error
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         hint = "delete the file, start the service and pair every client again (`volcal pair`)"
         raise _unusable("is damaged", path, hint) from error

@@ -12,11 +12,13 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from threading import Lock
+from typing import TypeVar
 
 from agent.service.access.roles import Role
 from drivers.errors import UserError
 from twin.units import S_PER_MIN
 
+Admitted = TypeVar("Admitted")
 DIGITS = 6
 MAX_WRONG_TRIES = 5
 """Number of wrong tries after which the code is void."""
@@ -75,8 +77,9 @@ class PairingCodes:
             self._open = _OpenCode(self.draw(), invitation, self.now() + S_PER_MIN * minutes)
             return self._open.code
 
-    def use(self, code: str) -> Invitation:
-        """Return the invitation of `code`, which is void from now on. Raise TooManyTries or WrongCode."""
+    def use(self, code: str, admit: Callable[[Invitation], Admitted]) -> Admitted:
+        """Return what `admit` makes of the invitation of `code`, which is void from then on. Raise TooManyTries,
+        WrongCode or an error of `admit`, after which the code is as good as before."""
         with self._lock:
             now = self.now()
             self._count_try(now)
@@ -88,8 +91,9 @@ class PairingCodes:
             if found is None:
                 raise _wrong()
             if right:
+                admitted = admit(found.invitation)
                 self._open = None
-                return found.invitation
+                return admitted
             found.wrong += 1
             if found.wrong >= MAX_WRONG_TRIES:
                 self._open = None

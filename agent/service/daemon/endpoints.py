@@ -8,17 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from typing import Protocol
 
 import structlog
 
 from agent.errors import EndpointUnavailable
-from agent.service.control import Control
+from agent.service.alarms import alarm_of
+from agent.service.control import Alarm, Control
 from agent.service.gateway.endpoint import GatewayEndpoint
 from agent.service.http.app import Extension
 from agent.service.http.metrics import mount_metrics
 from agent.service.opcua.endpoint import OpcUaEndpoint
 from agent.service.page.static_files import mount_page
+from agent.service.state.idle_alarms import ENDPOINT
 from agent.service.token import read_token, token_path
 from agent.settings.schema import Settings
 
@@ -42,12 +45,12 @@ class Endpoint(Protocol):
 
 @contextmanager
 def open_endpoints(
-    endpoints: Sequence[Endpoint], control: Control, note: Callable[[str], object]
+    endpoints: Sequence[Endpoint], control: Control, leave_out: Callable[[Alarm], object]
 ) -> Iterator[Sequence[Endpoint]]:
     """Open all endpoints, yield those that are open, and close them at the end of the `with` block.
 
-    An endpoint that raises EndpointUnavailable is left out; the log and `note` say so. If it raises another error,
-    close those that are already open and raise it.
+    An endpoint that raises EndpointUnavailable is left out, and `leave_out` is called with an alarm that says so. If it
+    raises another error, close those that are already open and raise it.
     """
     with ExitStack() as stack:
         opened = []
@@ -56,11 +59,17 @@ def open_endpoints(
                 endpoint.start(control)
             except EndpointUnavailable as error:
                 log.error("the service goes on without an endpoint", endpoint=endpoint.name, reason=str(error))
-                note(f"the service goes on without {endpoint.name}: {error}")
+                leave_out(_left_out(endpoint.name, error))
                 continue
             stack.callback(endpoint.stop)
             opened.append(endpoint)
         yield opened
+
+
+def _left_out(name: str, error: EndpointUnavailable) -> Alarm:
+    alarm = alarm_of(error)
+    text = f"the service goes on without {name}: {alarm.text}"
+    return replace(alarm, text=text, where={ENDPOINT: name, **alarm.where})
 
 
 def further_endpoints(settings: Settings) -> Sequence[Endpoint]:

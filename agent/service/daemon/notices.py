@@ -86,7 +86,7 @@ class NoticeMaker:
                 return (self.state_notice(),)
             case "note" if event.data.get("source") == "timer" and event.data.get("not_started"):
                 kind = kind_word(str(event.data["not_started"]), self._language)
-                opening = " ".join(part for part in (event.text, str(event.data.get("hint", ""))) if part)
+                opening = ". ".join(part for part in (event.text, str(event.data.get("hint", ""))) if part)
                 return (self._notice("not-started", "warning", opening=opening, kind=kind),)
         return ()
 
@@ -172,6 +172,7 @@ class NoticeMaker:
         opening: str = "",
         **values: str,
     ) -> Notice:
+        opening = in_language(opening, self._language)
         machine, shown = self.status().machine, tuple(self._shown(alarm) for alarm in alarms)
         if occasion == "alarm":
             values |= {"code": str(shown[0].code), "meaning": shown[0].meaning}

@@ -16,7 +16,7 @@ from agent.model_files import load_machine
 from agent.service.access.access import Access
 from agent.service.access.paired_clients import PairedClients
 from agent.service.access.pairing_codes import PairingCodes
-from agent.service.control import Control
+from agent.service.control import Alarm, Control
 from agent.service.daemon.endpoints import further_endpoints, http_extensions, open_endpoints
 from agent.service.daemon.main_loop import MainLoop, queued_signals
 from agent.service.daemon.sd_notify import Notifier
@@ -31,6 +31,7 @@ from agent.service.owner.process_heap import share_one_heap
 from agent.service.owner.unattended import Circumstances
 from agent.service.state.archive import Archive
 from agent.service.state.event_log import EventLog
+from agent.service.state.idle_alarms import IdleAlarms
 from agent.service.state.journal_state import JournalState
 from agent.service.state.live_view import LiveView
 from agent.service.state.reports import ReportQueue
@@ -78,10 +79,12 @@ def serve(config: Path, circumstances: Callable[[], Circumstances] = current_cir
             return create_app(app_state, names, http_extensions(settings))
 
         http = HttpEndpoint(settings.service, directory, make_app)
-        wanted = [http, *further_endpoints(settings)]
-        with open_endpoints(wanted, owner, lambda text: parts.event_log.publish("note", text)) as endpoints:
+        wanted, left_out = [http, *further_endpoints(settings)], list[Alarm]()
+        with open_endpoints(wanted, owner, left_out.append) as endpoints:
             log.info("serving", url=http.url, machine=settings.machine.name, state_directory=str(directory))
             with notifying(settings, parts, owner, app_state.archive), idle_reading(owner):
+                for alarm in left_out:  # only now somebody is told
+                    parts.board.idle_alarm(alarm)
                 MainLoop(owner, parts.health, Notifier(), signals, config, endpoints).run()
             parts.event_log.close()
         if not parts.reports.close(REPORT_TIMEOUT_S):
@@ -134,7 +137,7 @@ def _owner_parts(
     return OwnerParts(
         config=config,
         event_log=event_log,
-        board=StatusBoard(load_machine(settings.machine).name, event_log),
+        board=StatusBoard(load_machine(settings.machine).name, event_log, kept=IdleAlarms(settings.state_directory)),
         health=Health(RealClock().now, hang_timeout_s=service.hang_timeout_s, computing_s=computing_s),
         ownership=owned,
         journal_state=JournalState(settings.state_directory),

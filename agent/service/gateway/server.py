@@ -24,6 +24,7 @@ from agent.service.gateway.frames import (
 )
 from drivers.accept_loop import accepted, attended
 from drivers.errors import ConfigurationError
+from drivers.foreign_errors import cause_of
 
 JOIN_S: Final = 5.0
 log = structlog.get_logger()
@@ -187,7 +188,7 @@ def _listen(address: tuple[str, int]) -> socket.socket:
         return socket.create_server(address, family=family)
     except (OSError, OverflowError) as error:
         raise ConfigurationError(
-            f"cannot listen for panels on {address[0]}:{address[1]}: {error}",
+            f"cannot listen for panels on {address[0]}:{address[1]}: {cause_of(error)}",
             hint="choose a free port (below 1024 needs the privilege) and an address of this computer",
             key="gateway.host, gateway.port",
         ) from error

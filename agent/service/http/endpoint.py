@@ -15,6 +15,7 @@ from agent.service.control import Control
 from agent.service.http.connections import BACKLOG, KEEP_ALIVE_S, LimitedConnection, LimitedServer
 from agent.settings.service import ServiceSettings
 from drivers.errors import ConfigurationError
+from drivers.foreign_errors import cause_of
 
 OPEN_TIMEOUT_S = 10.0
 GRACE_PERIOD_S = 2
@@ -75,7 +76,7 @@ class HttpServer:
         except OSError as error:
             listening.close()
             raise ConfigurationError(
-                f"cannot listen at {settings.host} port {settings.port}: {error.strerror or error}",
+                f"cannot listen at {settings.host} port {settings.port}: {cause_of(error)}",
                 key="service.port",
                 hint="choose another port, or stop the program that uses this one",
             ) from error

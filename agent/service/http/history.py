@@ -77,7 +77,7 @@ def history_runs(
 
 @router.get("/alarms")
 def history_alarms(app_state: AppStateDependency, limit: Limit = 50, offset: Offset = 0) -> HistoryAlarmList:
-    """Return the alarms of all runs of the journal, the latest first."""
+    """Return the alarms of the journal, those of all runs and those between runs, the latest first."""
     found = alarm_page(app_state.archive.directory, limit, offset)
     alarms = [
         HistoryAlarm(

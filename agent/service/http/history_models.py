@@ -46,7 +46,8 @@ class HistoryRunList(BaseModel):
 
 class HistoryAlarm(BaseModel):
     """Alarm of the run `run_id` of the kind `kind`, from the UTC time `since` to `until`: until it was acknowledged,
-    the run was resumed or the next run began. `until` is null if none of these is recorded."""
+    the run was resumed or the next run began. `until` is null if none of these is recorded. `run_id` and `kind` are
+    empty if the alarm arose between runs."""
 
     since: str
     until: str | None
@@ -56,8 +57,7 @@ class HistoryAlarm(BaseModel):
 
 
 class HistoryAlarmList(BaseModel):
-    """Alarms of one page, the latest first, and the number of all alarms. Alarms that arose between runs are shown by
-    the status while they are open, and are not listed."""
+    """Alarms of one page, the latest first, and the number of all alarms."""
 
     alarms: list[HistoryAlarm]
     total: int

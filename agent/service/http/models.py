@@ -178,11 +178,12 @@ class LinkView(BaseModel):
 
 class ReceiverView(BaseModel):
     """Channel of the notifications. `waiting` is the number of notices that it has not delivered yet; `problem` says
-    why it does not deliver, and is empty if it does."""
+    why it does not deliver, and `since` since when in UTC; both are empty if it does."""
 
     channel: Literal["mqtt", "webhook", "mail"]
     waiting: int
     problem: str
+    since: str
 
 
 class VerdictView(BaseModel):

@@ -41,6 +41,8 @@ from agent.service.opcua.model import (
 from drivers.errors import InputError, PermissionMissing, UserError, VolcalError
 
 log = structlog.get_logger()
+REFRESHES = (ObjectIds.ConditionType_ConditionRefresh, ObjectIds.ConditionType_ConditionRefresh2)
+"""Methods with which a client asks for the alarms that are open; asyncua carries them out."""
 _INPUTS = {method.name: method.inputs for method in METHODS}
 _KINDS: dict[str, type] = {"String": str, "Double": float, "Int32": int, "Boolean": bool}
 
@@ -130,7 +132,7 @@ class AddressSpace:
         return self._nodes[path]
 
     async def _add_methods(self, root: Node) -> None:
-        free: dict[ua.NodeId, bool] = {}
+        free = {ua.NodeId(ua.Int32(method)): True for method in REFRESHES}
         for method in METHODS:
             node = await root.add_method(
                 self._id(method.name),

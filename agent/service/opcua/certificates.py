@@ -17,6 +17,7 @@ from cryptography.hazmat.primitives.asymmetric import rsa
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from drivers.errors import ConfigurationError
+from drivers.foreign_errors import cause_of
 
 VALIDITY: Final = timedelta(days=3650)
 CLOCK_TOLERANCE: Final = timedelta(days=1)
@@ -47,7 +48,7 @@ def own_certificate(directory: Path, application_uri: str, host_name: str, addre
         _write(own.certificate, certificate.public_bytes(serialization.Encoding.DER), 0o644)
     except OSError as error:
         raise ConfigurationError(
-            f"the OPC UA certificate cannot be written: {error.strerror or error}", file=str(own.certificate)
+            f"the OPC UA certificate cannot be written: {cause_of(error)}", file=str(own.certificate)
         ) from error
     return own
 
@@ -91,8 +92,9 @@ def _refuse_expired(path: Path) -> None:
     try:
         certificate = _load(path)
     except (OSError, ValueError) as error:
+        reason = cause_of(error) if isinstance(error, OSError) else "it is not a certificate"
         raise ConfigurationError(
-            f"the server's OPC UA certificate cannot be read: {error}",
+            f"the server's OPC UA certificate cannot be read: {reason}",
             hint="remove it together with its key; a new one is generated, which the clients must then trust",
             file=str(path),
         ) from error

@@ -36,11 +36,12 @@ MESSAGES: Final = CompanionType(MACHINE_TOOL, 38, "MessagesType")
 NOTIFICATION_EVENT: Final = CompanionType(MACHINE_TOOL, 35, "NotificationEventType")
 ALERT: Final = CompanionType(MACHINE_TOOL, 39, "AlertType")
 RESULT_MANAGEMENT: Final = CompanionType(RESULT, 1004, "ResultManagementType")
+RESULT_READY: Final = CompanionType(RESULT, 1002, "ResultReadyEventType")
 RESULT_VARIABLE: Final = CompanionType(RESULT, 2001, "ResultType")
 FOLDER: Final = CompanionType(UA, 61, "FolderType")
 BASE_OBJECT: Final = CompanionType(UA, 58, "BaseObjectType")
 
 USED_TYPES: Final = (
     MACHINES, MACHINE_TOOL_TYPE, ITEM_STATE, OPERATION_MODE, PROGRAM_STATE, SOFTWARE, MONITORED_ELEMENT, MESSAGES,
-    NOTIFICATION_EVENT, ALERT, RESULT_MANAGEMENT, RESULT_VARIABLE,
+    NOTIFICATION_EVENT, ALERT, RESULT_MANAGEMENT, RESULT_READY, RESULT_VARIABLE,
 )  # fmt: skip

@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING, Final
 
 import structlog
 
+from agent.errors import EndpointUnavailable
 from agent.service.accept_errors import AcceptErrors
 from agent.service.control import Control
 from agent.settings.opcua import OpcUaSettings
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, VolcalError
+from drivers.foreign_errors import IN_THE_LOG
 
 if TYPE_CHECKING:
     from agent.service.opcua.server import OpcUaServer
@@ -55,15 +57,17 @@ class OpcUaEndpoint:
         return self._settings.trusted_clients or self._directory / "trusted"
 
     def start(self, control: Control) -> None:
-        """Open the endpoint. Raise ConfigurationError if asyncua is missing, or if the certificate or the address is
-        invalid, and EndpointUnavailable if a node set is missing or damaged."""
+        """Open the endpoint. Raise EndpointUnavailable if that fails, whatever the reason: the machine can be used
+        without OPC UA."""
         opened: Future[None] = Future()
         self._thread = threading.Thread(target=self._run, args=(control, opened), name="opc ua", daemon=True)
         self._thread.start()
         try:
             opened.result(OPEN_TIMEOUT_S)
-        except BaseException:
+        except BaseException as error:
             self.stop()
+            if isinstance(error, Exception):
+                raise _unavailable(error) from error
             raise
         log.info("OPC UA open", address="{}:{}".format(*self.address), trusted_clients=str(self.trusted_clients))
 
@@ -99,3 +103,11 @@ class OpcUaEndpoint:
         files = module.ServerFiles(self._state_directory, self._directory, self.trusted_clients, self._token)
         server: OpcUaServer = module.OpcUaServer(self._settings, files, control)
         await server.serve(self._stop, lambda: opened.set_result(None))
+
+
+def _unavailable(error: Exception) -> EndpointUnavailable:
+    if isinstance(error, VolcalError):
+        return EndpointUnavailable(error.message, hint=error.hint, **error.where)
+    log.error("OPC UA cannot be opened", exc_info=error)
+    hint = "set opcua.enabled = false, or remove opcua.node_sets to use the node sets that are shipped"
+    return EndpointUnavailable(f"the server cannot be built: {IN_THE_LOG}", hint=hint, key="opcua")

@@ -117,12 +117,17 @@ class GuardedSession(InternalSession):
         return result
 
 
+REFRESH_SEVERITY = 1
+"""Severity of the events before and after the open alarms of a ConditionRefresh."""
+
+
 class GuardedServer(InternalServer):
     """Server whose sessions are `GuardedSession` objects. `free_methods` maps the id of each method to True if the
     method can be called without the access token of the service."""
 
     def __init__(self, users: ClientAuthentication) -> None:
         super().__init__(user_manager=users)
+        self.bind_condition_methods = REFRESH_SEVERITY  # this also switches ConditionRefresh on
         self.free_methods: Mapping[ua.NodeId, bool] = {}
         self.max_connections = MOST_CONNECTIONS
         self.max_pending_activation_seconds = ACTIVATE_WITHIN_S

@@ -126,7 +126,9 @@ _UNDECIDABLE: Final = 3
 
 _BLOCKS: Final = "MachineryBuildingBlocks"
 _SOFTWARE: Final = "Identification.SoftwareIdentification"
-LAST: Final = f"{_BLOCKS}.ResultManagement.Results.LastCalibration"
+RESULTS: Final = f"{_BLOCKS}.ResultManagement"
+LAST: Final = f"{RESULTS}.Results.LastCalibration"
+READY_EVENT: Final = "CalibrationReadyEventType"
 LAST_META: Final = f"{LAST}.ResultMetaData"
 CALIBRATION: Final = "Monitoring.Calibration"
 ALERTS: Final = "Notification.Messages"

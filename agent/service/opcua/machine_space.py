@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping
+from copy import copy
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,6 +23,7 @@ from agent.service.opcua.companion_types import (
     MACHINE_TOOL_TYPE,
     MACHINES,
     MONITORED_ELEMENT,
+    RESULT_READY,
     CompanionType,
 )
 from agent.service.opcua.last_calibration import CalibrationResult, last_calibration
@@ -33,6 +35,8 @@ from agent.service.opcua.machine_model import (
     MACHINE,
     MACHINE_VARIABLES,
     PARTS,
+    READY_EVENT,
+    RESULTS,
     SHARED_PARTS,
     SHARED_VARIABLES,
     STATE_MACHINES,
@@ -68,6 +72,9 @@ class MachineSpace:
         self._own = ua.Int16(0)
         self._indices: dict[str, int] = {}
         self._alerts = EventGenerator(server.iserver.isession)
+        self._open_alerts: dict[int, EventGenerator] = {}
+        self._ready = EventGenerator(server.iserver.isession)
+        self._told: CalibrationResult | None = None
         self._states: dict[str, Mapping[str, tuple[ua.NodeId, int]]] = {}
         self._shown: dict[str, Any] = {}
 
@@ -93,6 +100,9 @@ class MachineSpace:
         for machine in STATE_MACHINES:
             self._states[machine.path] = await self._states_of(machine)
         await self._alerts.init(self._type(ALERT), self._node(ALERTS))
+        # The type has no default value from which asyncua could learn the type of this field.
+        self._alerts.event.add_property("ErrorCode", "", ua.VariantType.String)
+        await self._ready.init(await self._own_type(RESULT_READY, READY_EVENT), self._node(RESULTS))
 
     async def read_result(self) -> None:
         """Read the result of the last calibration from the journal, in a thread. If the journal cannot be read, the
@@ -103,16 +113,30 @@ class MachineSpace:
             log.warning("result of the last calibration not read", error=str(error))
 
     async def show(self, status: Status) -> None:
-        """Update the nodes that have changed since the last call."""
+        """Update the nodes that have changed since the last call. Send an event about a new result, which a client can
+        read then."""
         facts = Facts(status, self._settings.identification, self._result)
         for variable in MACHINE_VARIABLES:
             await self._write(variable.path, _data_value(variable.form, variable.of(facts), variable.awaited(facts)))
         for machine in STATE_MACHINES:
             await self._show_state(machine, facts)
         await self._show_result()
+        if self._result is not None and self._result != self._told:
+            self._told = self._result
+            self._ready.event.Result = _structures(self._result)[1]
+            await self._ready.trigger(message=self._result.verdict.sentence["en"])
 
     async def send_alert(self, alarm: Alarm, *, active: bool) -> None:
-        """Send an AlertType event: the alarm has appeared, or a reset has removed it."""
+        """Send an AlertType event: the alarm has appeared, or a reset has removed it.
+
+        Each open alarm keeps an event of its own, which asyncua sends again when a client asks for a refresh.
+        """
+        found = self._open_alerts.pop(alarm.code, None)
+        if found is None:
+            found = EventGenerator(self._server.iserver.isession)
+            found.event = copy(self._alerts.event)
+        if active:
+            self._open_alerts[alarm.code] = found
         fields = {
             "Severity": ALARM_EVENT.severity,
             "ConditionName": f"alarm {alarm.code}",
@@ -122,12 +146,11 @@ class MachineSpace:
             "ActiveState": ua.LocalizedText("Active" if active else "Inactive"),
             "ActiveState/Id": active,
             "Retain": active,
+            "ErrorCode": str(alarm.code),
         }
         for field, value in fields.items():
-            setattr(self._alerts.event, field, value)
-        # The type has no default value from which asyncua could learn the type of this field.
-        self._alerts.event.add_property("ErrorCode", str(alarm.code), ua.VariantType.String)
-        await self._alerts.trigger(message=f"{alarm.text}. {alarm.hint}" if alarm.hint else alarm.text)
+            setattr(found.event, field, value)
+        await found.trigger(message=f"{alarm.text}. {alarm.hint}" if alarm.hint else alarm.text)
 
     async def _add_part(self, part: OptionalPart) -> None:
         above, _, name = f"{MACHINE}.{part.path}".rpartition(".")
@@ -144,14 +167,17 @@ class MachineSpace:
 
     async def _add_calibration(self) -> None:
         """Add the element that shows the run: ElementMonitoringType is abstract, so it has a type of its own."""
-        name = ua.QualifiedName("CalibrationMonitoringType", self._own)
-        own_type = await self._type(MONITORED_ELEMENT).add_object_type(self._id(name.Name), name)
+        own_type = await self._own_type(MONITORED_ELEMENT, "CalibrationMonitoringType")
         await instantiate(
             self._node("Monitoring"), own_type, self._id(f"{MACHINE}.{CALIBRATION}"),
             ua.QualifiedName("Calibration", self._own), instantiate_optional=False,
         )  # fmt: skip
         for path in SHARED_VARIABLES:
             await self._node(CALIBRATION).add_reference(self._server.get_node(self._id(path)), ObjectIds.HasComponent)
+
+    async def _own_type(self, above: CompanionType, name: str) -> Node:
+        """Add a type of the own namespace below an abstract one."""
+        return await self._type(above).add_object_type(self._id(name), ua.QualifiedName(name, self._own))
 
     async def _add_variable(self, variable: MachineVariable) -> None:
         above, _, name = variable.path.rpartition(".")
@@ -201,11 +227,7 @@ class MachineSpace:
     async def _show_result(self) -> None:
         """Show the result as the structures of OPC 40001-101; their fields are also variables."""
         result = self._result
-        meta = whole = None
-        if result is not None:  # asyncua makes these two classes from the node set
-            meta = _generated("ResultMetaDataType")(ResultId=result.run_id, CreationTime=result.ended)
-            whole = _generated("ResultDataType")(ResultMetaData=meta)
-        for path, value in ((LAST_META, meta), (LAST, whole)):
+        for path, value in zip((LAST_META, LAST), (None, None) if result is None else _structures(result), strict=True):
             await self._write(path, _data_value("ExtensionObject", value, result is None))
 
     async def _write(self, path: str, value: ua.DataValue) -> None:
@@ -231,6 +253,13 @@ def _data_value(form: str, value: MachineValue | ua.NodeId | object | None, awai
         return ua.DataValue(StatusCode=ua.StatusCode(ua.UInt32(code)))
     shown = ua.LocalizedText(str(value)) if form == "LocalizedText" else value
     return ua.DataValue(ua.Variant(shown, ua.VariantType[form]), StatusCode=ua.StatusCode(ua.UInt32(StatusCodes.Good)))
+
+
+def _structures(result: CalibrationResult) -> tuple[object, object]:
+    """Return the metadata of a result and the whole of it, as structures of classes that asyncua makes from the node
+    set."""
+    meta = _generated("ResultMetaDataType")(ResultId=result.run_id, CreationTime=result.ended)
+    return meta, _generated("ResultDataType")(ResultMetaData=meta)
 
 
 def _generated(name: str) -> Callable[..., object]:

@@ -24,8 +24,10 @@ from agent.service.opcua.companion_types import (
     MACHINE_TOOL,
     MACHINERY,
     RESULT,
+    UA,
     USED_TYPES,
 )
+from drivers.foreign_errors import IN_THE_LOG, cause_of
 
 XML: Final = "{http://opcfoundation.org/UA/2011/03/UANodeSet.xsd}"
 DOWNLOAD: Final = "the node sets are in the repository UA-Nodeset of the OPC Foundation (docs/reference/opc-ua.md)"
@@ -62,10 +64,13 @@ class NodeSetFile:
     root: ElementTree.Element
     uri: str
     version: str
+    required: frozenset[str]
+    """Namespaces on which the node set builds."""
 
 
 async def load_node_sets(server: Server, directory: Path | None) -> None:
-    """Import the node sets from `directory`, or those that are shipped with the package if it is None.
+    """Import the node sets from `directory`, or those that are shipped with the package if it is None. Further node
+    sets of the directory, such as that of OPC 40210, follow the needed ones.
 
     Raise EndpointUnavailable if the directory or a node set is missing, or if a file is damaged or too old.
     """
@@ -76,19 +81,32 @@ async def load_node_sets(server: Server, directory: Path | None) -> None:
     with as_file(files("agent.service.opcua").joinpath("companion")) as shipped:
         found = read_node_sets(directory or shipped)
     for node_set in NODE_SETS:
-        await _import(server, node_set, found[node_set.uri])
+        await _import(server, found[node_set.uri], decode_values=node_set.decode_values)
+    for file in further_node_sets(found):
+        await _import(server, file, decode_values=False)
     await _require_types(server, found)
-    log.info("OPC UA node sets loaded", count=len(NODE_SETS), cpu_s=round(time.process_time() - begun, 2))
+    log.info("OPC UA node sets loaded", count=len(found), cpu_s=round(time.process_time() - begun, 2))
 
 
 def read_node_sets(directory: Path) -> Mapping[str, NodeSetFile]:
-    """Return the needed node sets of a directory by namespace URI. Their file names do not matter."""
+    """Return the node sets of a directory by namespace URI. Their file names do not matter.
+
+    Every file that ends with ``.xml`` must be a node set, and there must be one for each namespace: which of two is
+    loaded is not left to the names of the files.
+    """
     if not directory.is_dir():
         raise EndpointUnavailable(
             "the directory of the OPC UA node sets does not exist", file=str(directory), key="opcua.node_sets",
             hint=f"create it and copy the node sets into it, or remove the key to use those shipped; {DOWNLOAD}",
         )  # fmt: skip
-    found = {one.uri: one for path in sorted(directory.glob("*.xml")) for one in [_read(path)]}
+    found = dict[str, NodeSetFile]()
+    for one in map(_read, sorted(directory.glob("*.xml"))):
+        former = found.setdefault(one.uri, one)
+        if former is not one:
+            raise EndpointUnavailable(
+                f"{former.path.name} and {one.path.name} have the same namespace {one.uri}",
+                file=str(one.path), key="opcua.node_sets", hint="keep one of the two in the directory",
+            )  # fmt: skip
     for node_set in NODE_SETS:
         if node_set.uri not in found:
             raise EndpointUnavailable(
@@ -104,15 +122,37 @@ def read_node_sets(directory: Path) -> Mapping[str, NodeSetFile]:
     return found
 
 
+def further_node_sets(found: Mapping[str, NodeSetFile]) -> list[NodeSetFile]:
+    """Return the node sets that volcal itself does not need, each after those on which it builds. Raise
+    EndpointUnavailable if one of these is missing."""
+    known = {UA, *(node_set.uri for node_set in NODE_SETS)}
+    left, ordered = [file for uri, file in found.items() if uri not in known], list[NodeSetFile]()
+    while left:
+        ready = [file for file in left if file.required <= known]
+        if not ready:
+            file = left[0]
+            raise EndpointUnavailable(
+                f"the node set {file.uri} builds on {', '.join(sorted(file.required - known))}, which is not here",
+                file=str(file.path), key="opcua.node_sets", hint=f"copy the missing node set too; {DOWNLOAD}",
+            )  # fmt: skip
+        ordered += ready
+        known |= {file.uri for file in ready}
+        left = [file for file in left if file not in ready]
+    return ordered
+
+
 def _read(path: Path) -> NodeSetFile:
     try:
         root = ElementTree.parse(path).getroot()  # noqa: S314  a file that the administrator of this computer chose
-    except (OSError, ElementTree.ParseError, ValueError) as error:
-        raise _damaged(path, error) from error
+    except ElementTree.ParseError as error:
+        raise _damaged(path, f"it is not XML in line {error.position[0]}") from error
+    except (OSError, ValueError) as error:
+        raise _damaged(path, cause_of(error)) from error
     model = root.find(f"{XML}Models/{XML}Model")
     if root.tag != f"{XML}UANodeSet" or model is None:
         raise _damaged(path, "it is not a UANodeSet with a model")
-    return NodeSetFile(path, root, model.get("ModelUri", ""), model.get("Version", ""))
+    required = frozenset(one.get("ModelUri", "") for one in model.iterfind(f"{XML}RequiredModel"))
+    return NodeSetFile(path, root, model.get("ModelUri", ""), model.get("Version", ""), required)
 
 
 def _damaged(path: Path, reason: object) -> EndpointUnavailable:
@@ -126,14 +166,15 @@ def _numbers(version: str) -> tuple[int, ...]:
     return tuple(int(part) for part in version.split(".") if part.isdecimal())
 
 
-async def _import(server: Server, node_set: NodeSet, file: NodeSetFile) -> None:
+async def _import(server: Server, file: NodeSetFile, *, decode_values: bool) -> None:
     _remove_unreadable(file.root)
     ElementTree.register_namespace("", XML.strip("{}"))
     try:
         text = ElementTree.tostring(file.root, encoding="unicode")
-        await server.import_xml(xmlstring=text, auto_load_definitions=node_set.decode_values)
+        await server.import_xml(xmlstring=text, auto_load_definitions=decode_values)
     except Exception as error:
-        raise _damaged(file.path, str(error) or type(error).__name__) from error
+        log.error("node set not imported", file=str(file.path), exc_info=error)
+        raise _damaged(file.path, f"a node of it cannot be imported: {IN_THE_LOG}") from error
 
 
 def _remove_unreadable(root: ElementTree.Element) -> None:

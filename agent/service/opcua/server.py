@@ -21,6 +21,7 @@ from agent.service.opcua.guard import ClientAuthentication, GuardedServer, make_
 from agent.service.opcua.machine_space import MachineSpace
 from agent.settings.opcua import OpcUaSettings
 from drivers.errors import ConfigurationError
+from drivers.foreign_errors import cause_of
 
 REFRESH_S: Final = 0.5
 """Longest delay in s until the nodes show a change of the status that no event has reported."""
@@ -78,7 +79,7 @@ class OpcUaServer:
             await server.start()
         except OSError as error:
             raise ConfigurationError(
-                f"cannot listen for OPC UA on {self._settings.host}:{self._settings.port}: {error.strerror or error}",
+                f"cannot listen for OPC UA on {self._settings.host}:{self._settings.port}: {cause_of(error)}",
                 hint="choose a free port and an address of this computer",
                 key="opcua.host, opcua.port",
             ) from error

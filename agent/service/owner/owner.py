@@ -72,6 +72,7 @@ class Owner:
                 balls=left.balls,
                 touches=left.touches,
             )
+        self._board.show_left_open()
 
     # ------------------------------------------------------------------ Control
 
@@ -165,10 +166,12 @@ class Owner:
     def hold(self, by: str = "") -> None:
         self._require(allowed_requests.HOLD, "a run can be held only while it is moving")
         self._on_running(RunMailbox.hold, "hold requested", by)
+        self._record_request("hold requested", allowed_requests.HOLD, by)
 
     def resume(self, by: str = "") -> None:
         self._require(allowed_requests.RESUME, "only a run that is held can be resumed")
         self._on_running(RunMailbox.resume, "resume requested", by)
+        self._record_request("resume requested", allowed_requests.RESUME, by)
 
     def abort(self, reason: str) -> None:
         said = one_line(reason, MAX_REASON)
@@ -187,7 +190,9 @@ class Owner:
 
     def answer(self, number: int, yes: bool, by: str = "") -> None:
         self._questions.answer(number, yes)
-        self._note(f"question {number} answered with {'yes' if yes else 'no'}", by)
+        text = f"question {number} answered with {'yes' if yes else 'no'}"
+        self._note(text, by)
+        self._record_request(text, allowed_requests.ANSWER, by)
 
     # ------------------------------------------------------------------ for the service itself
 
@@ -471,6 +476,16 @@ class Owner:
             if self._running is not None:
                 action(self._running)
                 self._note(text, by)
+
+    def _record_request(self, text: str, request: str, by: str) -> None:
+        """Record in the journal what was asked of the run in progress. If this is not possible, only log it: the
+        request has been carried out."""
+        run_id = self.running_id
+        try:
+            if run_id is not None:
+                self._parts.journal_state.record_request(run_id, {"text": text, "request": request, **named(by)})
+        except VolcalError as error:
+            log.warning("a request is not recorded in the journal", request=request, reason=str(error))
 
     def _note(self, text: str, by: str) -> None:
         """Tell and log what was requested, and by whom if the client has a name."""

@@ -66,10 +66,11 @@ def page_router() -> APIRouter:
 
     @router.get("/runs/{run_id}/report.{form}")
     def report(
-        app_state: AppStateDependency, run_id: str, form: Literal["html", "pdf"], language: Language = "en"
+        app_state: AppStateDependency, run_id: str, form: Literal["html", "pdf"], language: Language | None = None
     ) -> Response:
-        """Return the same report as `volcal report` writes, rendered from the journal alone."""
-        directory = app_state.archive.directory
+        """Return the same report as `volcal report` writes, rendered from the journal alone; its language is that of
+        the settings unless `language` says otherwise."""
+        directory, language = app_state.archive.directory, language or app_state.settings().report.language
         content = render_in_subprocess(directory, run_id, pdf=form == "pdf", language=language)[f"report.{form}"]
         headers = {"Content-Disposition": f'attachment; filename="volcal-{run_id}.{form}"'}
         return Response(content, media_type=REPORT_TYPES[form], headers=headers)

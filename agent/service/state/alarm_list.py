@@ -1,5 +1,4 @@
-"""List of the alarms of all runs, read from the journal. Alarms that arose between runs are not journaled; the status
-shows them while they are open."""
+"""List of the alarms of all runs and of those that arose between runs, read from the journal."""
 
 from __future__ import annotations
 
@@ -18,7 +17,7 @@ from drivers.errors import VolcalError
 @dataclass(frozen=True)
 class ListedAlarm:
     """Alarm of the run `run_id`, open from the UTC time `since` to `until`. `until` is None if the end is not recorded:
-    the alarm may be open still."""
+    the alarm may be open still. `run_id` and `kind` are empty if the alarm arose between runs."""
 
     since: str
     until: str | None

@@ -3,6 +3,7 @@ reset has acknowledged it, the way in which the last run ended."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ from agent.runs.unfinished_run import unfinished_run
 from agent.service.alarms import CODES, AlarmCode, code_of_name, recorded_alarm
 from agent.service.allowed_requests import STICKY
 from agent.service.control import Alarm
+from agent.service.state.idle_alarms import alarm_record
 from agent.service.state.status_board import IdleStatus
 from agent.settings.schema import Settings
 from drivers.errors import VolcalError
@@ -123,7 +125,14 @@ class JournalState:
         if not has_journal(self.directory):
             return
         with closing(Journal(self.directory)) as journal:
-            journal.record_alarm(run_id, {**vars(alarm), "where": dict(alarm.where)})
+            journal.record_alarm(run_id, alarm_record(alarm))
+
+    def record_request(self, run_id: str, record: Mapping[str, str]) -> None:
+        """Record in the journal what a person asked of a run in progress. Raise JournalFailed if the record cannot be
+        written."""
+        if has_journal(self.directory):
+            with closing(Journal(self.directory)) as journal:
+                journal.record_request(run_id, record)
 
     def idle_status(self, settings: Settings, base: Path) -> IdleStatus:
         """Return the state of the machine as recorded in the journal. If the journal cannot be read, log the error and

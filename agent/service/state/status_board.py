@@ -27,6 +27,7 @@ from agent.service.allowed_requests import AT_REST, allowed_in
 from agent.service.control import Alarm, Question, Status
 from agent.service.state.controller_reading import ControllerReading
 from agent.service.state.event_log import EventLog
+from agent.service.state.idle_alarms import IdleAlarms
 from drivers.clock import RealClock, utc_timestamp
 from drivers.errors import StoreError
 
@@ -87,11 +88,12 @@ class IdleStatus:
 @dataclass
 class StatusBoard:
     """Current status of the service, from which all endpoints read. Any thread may read it. Every change of the state
-    is published as an event."""
+    is published as an event. Alarms that arise between runs are recorded in `kept`."""
 
     machine: str
     event_log: EventLog
     now: Callable[[], float] = field(default_factory=lambda: RealClock().now)
+    kept: IdleAlarms | None = None
     _read_at_s: float | None = None
     _unexpected: bool = False
     _status: Status = field(init=False)
@@ -172,7 +174,13 @@ class StatusBoard:
         self._change(verdict=verdict)
         self.enter(state, alarm.text)
 
+    def show_left_open(self) -> None:
+        """Show the alarms that arose between runs and were open when the service ended."""
+        if self.kept is not None:
+            self._change(alarms=(*self._status.alarms, *self.kept.left_open()))
+
     def reset(self) -> None:
+        self._end_alarms(self._status.alarms)
         self._change(alarms=(), fraction=0.0, minutes_left=None, step="", run_id=None, kind=None, started=None)
         self._change(source="", by="", balls=0, touches=0, verdict=None)
         self.enter(RunState.IDLE, "reset")
@@ -182,6 +190,7 @@ class StatusBoard:
         controller. If a person must act, show the instruction as an alarm."""
         unfinished, former = result.unfinished, self._status.unproved
         told = () if former is None else tuple(a for a in self._status.alarms if a.text.startswith(former.situation))
+        self._end_alarms(told)
         self._change(
             alarms=tuple(alarm for alarm in self._status.alarms if alarm not in told),
             written_not_active=result.waiting_bank,
@@ -197,12 +206,13 @@ class StatusBoard:
             situation = result.state.value if result.unproved is None else result.unproved.situation
             alarm = alarm_of(StoreError(f"{situation}{refused}", hint=result.instruction))
             if alarm not in self._status.alarms:  # after each interruption of the link, the comparison is made again
-                self.alarm(alarm)
+                self.idle_alarm(alarm)
 
     # ------------------------------------------------------------------ a run
 
     def begin_run(self, run_id: str, kind: str, source: Source, position_set: str | None, by: str = "") -> None:
         """Show a run that begins now. `by` is the name of who asked for it if it is known."""
+        self._end_alarms(self._status.alarms)
         self._change(
             run_id=run_id,
             kind=kind,
@@ -280,6 +290,16 @@ class StatusBoard:
         data = {"code": alarm.code, "hint": alarm.hint, "where": dict(alarm.where)}
         self.event_log.publish("alarm", alarm.text, data)
         log.error(alarm.text, **data)
+
+    def idle_alarm(self, alarm: Alarm) -> None:
+        """Add an alarm that arose between runs, and record it in the journal."""
+        if self.kept is not None:
+            self.kept.keep(alarm)
+        self.alarm(alarm)
+
+    def _end_alarms(self, alarms: tuple[Alarm, ...]) -> None:
+        if self.kept is not None:
+            self.kept.end(alarms)
 
     def enter(self, state: RunState, text: str) -> None:
         former, verdict = self._status.state, self._status.verdict

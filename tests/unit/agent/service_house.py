@@ -30,6 +30,7 @@ from agent.service.owner.owner_parts import MachineAccess, OwnerParts
 from agent.service.owner.unattended import Circumstances
 from agent.service.state.controller_reading import ControllerReading
 from agent.service.state.event_log import EventLog
+from agent.service.state.idle_alarms import IdleAlarms
 from agent.service.state.journal_state import JournalState
 from agent.service.state.reports import ReportQueue
 from agent.service.state.status_board import StatusBoard
@@ -206,7 +207,7 @@ def house(
         parts = OwnerParts(
             config=state / "volcal.toml",
             event_log=event_log,
-            board=StatusBoard("case-study", event_log),
+            board=StatusBoard("case-study", event_log, kept=IdleAlarms(state)),
             health=Health(VirtualClock().now, hang_timeout_s=30.0, computing_s=900.0),
             ownership=owned,
             journal_state=JournalState(state),

@@ -8,12 +8,16 @@ import pytest
 from journaled import SETTINGS
 from service_house import House, house
 
-from agent.errors import Aborted, GateRefused, Interrupted
+from agent.errors import Aborted, GateRefused, Interrupted, JournalFailed
 from agent.execution.journal import Journal
+from agent.execution.journal_reader import open_journal
 from agent.execution.states import RunState
+from agent.runs.reconcile_result import CompensationState, ReconcileAction, Reconciliation
 from agent.runs.run_request import RunRequest
 from agent.service.alarms import CODES, DEFECT
 from agent.service.control import Alarm
+from agent.service.state.alarm_list import alarm_page
+from agent.service.state.idle_alarms import ENDPOINT
 from drivers.clock import VirtualClock
 from drivers.errors import LinkLost, MotionFault, VolcalError
 
@@ -70,6 +74,51 @@ def test_an_alarm_is_the_same_after_a_restart(tmp_path, ends, error) -> None:
     with house(tmp_path) as acknowledged:
         status = acknowledged.owner.status()
         assert (status.state, status.alarms) == (RunState.IDLE, ())
+
+
+def test_an_alarm_between_runs_is_listed_and_the_same_after_a_restart(tmp_path: Path) -> None:
+    lost = Reconciliation(CompensationState.LOST, ReconcileAction.NOTHING, 1, instruction="look at the controller")
+    endpoint = Alarm(203, "the service goes on without OPC UA", where={ENDPOINT: "OPC UA"})
+    with house(tmp_path) as before:
+        before.machine.found.append(lost)
+        before.owner.reconcile_if_reached()
+        (alarm,) = before.owner.status().alarms
+        before.parts.board.idle_alarm(endpoint)
+        assert [one.alarm for one in alarm_page(tmp_path, 1, 1).alarms] == [alarm]
+    with house(tmp_path) as after:
+        assert after.owner.status().alarms == (alarm,)  # whether the endpoint opens now is another matter
+        after.machine.found.append(lost)
+        after.owner.reconcile_if_reached()
+        assert after.owner.status().alarms == (alarm,)
+        page = alarm_page(tmp_path, 10, 0)
+        assert page.total == 2
+        assert {(one.alarm.code, one.run_id, one.until is None) for one in page.alarms} == {
+            (203, "", False),
+            (alarm.code, "", True),
+        }
+        after.owner.reset()
+        assert all(one.until for one in alarm_page(tmp_path, 10, 0).alarms)
+    with house(tmp_path) as acknowledged:
+        assert acknowledged.owner.status().alarms == ()
+
+
+def test_who_held_resumed_and_answered_is_in_the_journal(tmp_path: Path) -> None:
+    with house(tmp_path) as built:
+        run_id = built.owner.start(CALIBRATE)
+        built.puppet.begun()
+        journal_run(tmp_path, run_id, RunState.MEASURING)
+        built.puppet.enter(RunState.MEASURING)
+        built.owner.hold("Ann")
+        built.puppet.enter(RunState.HELD)
+        built.owner.resume()
+        built.puppet.end(RunState.COMPLETE)
+        assert built.owner.wait(600.0)
+    with open_journal(tmp_path, JournalFailed) as reader:
+        rows = reader.events(reader.require_run(run_id).run, ("request",))
+    assert [row.record for row in rows] == [
+        {"text": "hold requested", "request": "hold", "by": "Ann"},
+        {"text": "resume requested", "request": "resume"},
+    ]
 
 
 def test_a_defect_keeps_its_number_though_the_run_could_not_journal_its_end(tmp_path) -> None:

@@ -115,7 +115,7 @@ class TestWriting:
             raise OSError(28, "No space left on device")
 
         monkeypatch.setattr(os, "fsync", no_space)
-        with pytest.raises(InputError, match="no space left on device"):
+        with pytest.raises(InputError, match="no space left on the disk"):
             write_atomically(path, "new")
         assert path.read_text() == "old"
         assert [item.name for item in tmp_path.iterdir()] == ["a.txt"]

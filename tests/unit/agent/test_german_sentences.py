@@ -5,15 +5,41 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
+from collections.abc import Mapping
 from importlib import resources
 
 import pytest
 from sentences_in_source import all_texts, sentences
 
 from agent.language.records import WORDS, record_in_words
-from agent.language.sentences import PLACE, catalogue, german, in_language, with_german_numbers
+from agent.language.sentences import (
+    PLACE,
+    Sentence,
+    catalogue,
+    german,
+    in_language,
+    with_german_numbers,
+)
 from agent.results.gates import GATE_RULES
-from drivers.foreign_errors import BY_ERRNO, BY_SQLITE_CODE, IN_THE_LOG
+from drivers.foreign_errors import (
+    BY_CERTIFICATE_CODE,
+    BY_ERRNO,
+    BY_SQLITE_CODE,
+    IN_THE_LOG,
+    NO_TLS,
+    UNKNOWN_NAME,
+)
+
+
+class Counted(str):
+    """Text that counts how many of its characters are looked at by `find`."""
+
+    looked_at = 0
+
+    def find(self, part: str, start: int = 0, *_: object) -> int:  # type: ignore[override]
+        found = super().find(part, start)
+        self.looked_at += (len(self) if found < 0 else found + len(part)) - start
+        return found
 
 
 def shape(template: str) -> str:
@@ -33,7 +59,8 @@ def test_each_sentence_of_the_source_has_german() -> None:
 
 
 def test_each_cause_and_each_gate_has_german() -> None:
-    texts = {*BY_ERRNO.values(), *BY_SQLITE_CODE.values(), IN_THE_LOG, *(rule.title for rule in GATE_RULES.values())}
+    causes = {*BY_ERRNO.values(), *BY_SQLITE_CODE.values(), *BY_CERTIFICATE_CODE.values()}
+    texts = causes | {IN_THE_LOG, NO_TLS, UNKNOWN_NAME} | {rule.title for rule in GATE_RULES.values()}
     assert texts - set(catalogue()) == set()
 
 
@@ -65,6 +92,14 @@ def test_places_agree_and_the_german_is_found() -> None:
             "Die Aufnahme ist nicht geöffnet; Das Gerät ist nicht geöffnet",
         ),
         (
+            "probability of such a scale, at most; a change of ECZ by 16.6 µrad rms between positions 0 and 1 is found "
+            "with a probability of 95 %; unnoticed, it would leave 6.5 µm",
+            "probability of such a scale, at most; eine Änderung von ECZ um 16,6 µrad (Effektivwert) zwischen den "
+            "Positionen 0 und 1 wird mit einer Wahrscheinlichkeit von 95 % gefunden; unbemerkt ließe sie 6,5 µm zurück",
+        ),
+        ("aborted: Prior (Night)", "abgebrochen: Prior (Night)"),
+        ("aborted: abort pressed", "abgebrochen: Abbruch gedrückt"),
+        (
             "a sentence that nobody has written in German, 1.5 µm",
             "a sentence that nobody has written in German, 1,5 µm",
         ),
@@ -73,6 +108,32 @@ def test_places_agree_and_the_german_is_found() -> None:
 def test_a_text_is_told_in_german_with_its_numbers(english: str, words: str) -> None:
     assert german(english) == words
     assert in_language(english, "en") == english
+
+
+def test_the_work_for_a_text_grows_with_its_length_alone() -> None:
+    """A pattern with several places would try all ways to share out a text that nearly is the sentence."""
+    for english, words in catalogue().items():
+        sentence = Sentence(english, words)
+        text = Counted(sentence.literals[0] + 40 * "".join(sentence.literals[1:]) + "x")
+        assert sentence.filled(text) is None or sentence.names
+        assert text.looked_at <= len(text), english
+
+
+def test_a_text_of_many_parts_is_looked_up_a_bounded_number_of_times(monkeypatch: pytest.MonkeyPatch) -> None:
+    looked_up, filled_as_it_is = Counter[str](), Sentence.filled
+    tried_first = max(catalogue(), key=lambda english: len(shape(english)) - 2 * len(PLACE.findall(english)))
+
+    def counted(sentence: Sentence, text: str) -> Mapping[str, str] | None:
+        if sentence.german == catalogue()[tried_first]:
+            looked_up[text] += len(text)
+        return filled_as_it_is(sentence, text)
+
+    monkeypatch.setattr(Sentence, "filled", counted)
+    mixed = "notifications: {} a, b. c; d (e f)"
+    for text in (*(one.join(mixed.format(i) for i in range(30)) for one in (". ", ", ")), 60 * "notifications: "):
+        looked_up.clear()
+        assert german(text)
+        assert 0 < looked_up.total() <= 20 * len(text), text[:40]
 
 
 @pytest.mark.parametrize(

@@ -203,6 +203,7 @@ def test_a_request_of_the_timer_that_is_not_carried_out_is_told(tmp_path, monkey
     assert (told.occasion, told.severity) == ("not-started", "warning")
     assert told.subject == "case-study: Nachtlauf wurde nicht gestartet"
     assert "22:00-01:00" in told.text
+    assert "Nachtlauf, angefordert von der Zeitschaltung, wurde nicht gestartet: Es ist 02:00" in told.text
     assert boxes["mail"].told.empty()
 
 

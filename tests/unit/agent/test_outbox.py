@@ -131,15 +131,17 @@ def test_the_pauses_grow_and_a_new_notice_does_not_shorten_them(tmp_path: Path) 
 def test_a_failure_is_told_once_and_its_end_once(tmp_path: Path) -> None:
     desk = Desk(tmp_path, Receiver([*away(5)]))
     desk.put(notice("n-1"))
+    began = f"{desk.today:%Y-%m-%dT%H:%M:%SZ}"
     with capture_logs() as logs:
         while (pause_s := desk.work()) is not None:
             assert "cannot be reached" in desk.states[-1].problem
-            assert desk.states[-1].waiting == 1
+            assert (desk.states[-1].waiting, desk.states[-1].since) == (1, began)
             desk.now_s += pause_s
+            desk.today += timedelta(seconds=pause_s)
     # the end of the failure is logged as information, which other tests of this process may have switched off
     assert [line["log_level"] for line in logs if line["log_level"] != "info"] == ["warning"]
     assert len(desk.notes) == 2
-    assert desk.states[-1].problem == ""
+    assert (desk.states[-1].problem, desk.states[-1].since) == ("", "")
 
 
 def test_a_notice_that_its_receiver_refuses_does_not_hold_up_the_others(tmp_path: Path) -> None:
@@ -209,7 +211,7 @@ def test_a_delivery_in_part_is_told_once(tmp_path: Path) -> None:
     with capture_logs():
         assert desk.work() is None
     assert len(desk.notes) == 1
-    assert desk.states[-1] == ReceiverState("mail", 0, "no mail for bob")
+    assert desk.states[-1] == ReceiverState("mail", 0, "no mail for bob", f"{desk.today:%Y-%m-%dT%H:%M:%SZ}")
 
 
 def test_a_full_outbox_drops_the_oldest(tmp_path: Path) -> None:

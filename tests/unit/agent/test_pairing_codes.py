@@ -9,10 +9,11 @@ from typing import Any
 
 import pytest
 
-from agent.cli.service_commands.pair import page_address
+from agent.cli.service_commands.pair import page_address, pair_command
 from agent.service.access.access import Access
 from agent.service.access.paired_clients import FILE_NAME, MAX_CLIENTS, PairedClients
 from agent.service.access.pairing_codes import (
+    MAX_MINUTES,
     MAX_TRIES_PER_MINUTE,
     MAX_WRONG_TRIES,
     Invitation,
@@ -21,7 +22,7 @@ from agent.service.access.pairing_codes import (
     WrongCode,
     six_digits,
 )
-from agent.service.access.roles import LEAST_ROLE, MACHINE, Requester
+from agent.service.access.roles import LEAST_ROLE, MACHINE, ROLES, Requester
 from agent.settings.service import ServiceSettings
 from drivers.clock import VirtualClock
 from drivers.errors import ConfigurationError, UserError
@@ -29,6 +30,10 @@ from drivers.errors import ConfigurationError, UserError
 PHONE = Invitation("operator", "phone")
 WRONG = "999999"
 TLS = {"certificate_file": Path("cert.pem"), "key_file": Path("key.pem")}
+
+
+def as_it_is(invitation: Invitation) -> Invitation:
+    return invitation
 
 
 def codes(clock: VirtualClock) -> PairingCodes:
@@ -41,17 +46,17 @@ def test_a_code_is_good_once_and_for_its_minutes() -> None:
     pairing = codes(clock)
     first = pairing.open(PHONE, minutes=2.0)
     clock.sleep(119.0)
-    assert pairing.use(first) == PHONE
+    assert pairing.use(first, as_it_is) == PHONE
     with pytest.raises(WrongCode):
-        pairing.use(first)
+        pairing.use(first, as_it_is)
     second = pairing.open(PHONE, minutes=2.0)
     clock.sleep(120.0)
     with pytest.raises(WrongCode, match=r"no longer valid.*volcal pair"):
-        pairing.use(second)
+        pairing.use(second, as_it_is)
     third, fourth = pairing.open(PHONE, 2.0), pairing.open(PHONE, 2.0)
     with pytest.raises(WrongCode):
-        pairing.use(third)  # the newer one has replaced it
-    assert pairing.use(fourth) == PHONE
+        pairing.use(third, as_it_is)  # the newer one has replaced it
+    assert pairing.use(fourth, as_it_is) == PHONE
 
 
 def test_a_code_is_void_after_five_wrong_tries() -> None:
@@ -60,17 +65,17 @@ def test_a_code_is_void_after_five_wrong_tries() -> None:
     code = pairing.open(PHONE, 5.0)
     for _ in range(MAX_WRONG_TRIES - 1):
         with pytest.raises(WrongCode):
-            pairing.use(WRONG)
-    assert pairing.use(code) == PHONE
+            pairing.use(WRONG, as_it_is)
+    assert pairing.use(code, as_it_is) == PHONE
     code = pairing.open(PHONE, 5.0)
     for _ in range(MAX_WRONG_TRIES):
         with pytest.raises(WrongCode):
-            pairing.use(WRONG)
+            pairing.use(WRONG, as_it_is)
     with pytest.raises(TooManyTries):
-        pairing.use(code)
+        pairing.use(code, as_it_is)
     clock.sleep(60.0)
     with pytest.raises(WrongCode):
-        pairing.use(code)
+        pairing.use(code, as_it_is)
 
 
 def test_tries_are_bounded_over_all_codes_and_a_refused_one_is_not_judged() -> None:
@@ -78,14 +83,14 @@ def test_tries_are_bounded_over_all_codes_and_a_refused_one_is_not_judged() -> N
     pairing = codes(clock)
     for _ in range(MAX_TRIES_PER_MINUTE):
         with pytest.raises(WrongCode):
-            pairing.use(WRONG)  # also while there is no code
+            pairing.use(WRONG, as_it_is)  # also while there is no code
     code = pairing.open(PHONE, 5.0)
     clock.sleep(20.0)
     with pytest.raises(TooManyTries) as refused:
-        pairing.use(code)
+        pairing.use(code, as_it_is)
     assert refused.value.wait_s == 40.0
     clock.sleep(refused.value.wait_s)
-    assert pairing.use(code) == PHONE
+    assert pairing.use(code, as_it_is) == PHONE
 
 
 def test_codes_have_six_digits_and_differ() -> None:
@@ -125,6 +130,25 @@ def test_clients_are_kept_for_their_owner_alone_and_without_their_tokens(tmp_pat
     with pytest.raises(UserError, match="no client is paired as operator 1"):
         again.revoke("operator 1")
     assert again.requester(panel.token) is not None
+
+
+def test_a_code_is_not_used_up_by_a_client_that_cannot_be_kept(tmp_path: Path) -> None:
+    access = Access("the machine's token", PairedClients(tmp_path), codes(VirtualClock()))
+    code, _ = access.invite("operator", "phone", 5.0)
+    path = tmp_path / FILE_NAME
+    path.mkdir()
+    with pytest.raises(ConfigurationError, match="cannot be kept"):
+        access.pair(code)
+    path.rmdir()
+    assert access.pair(code).requester == Requester("operator", "phone")
+    with pytest.raises(WrongCode):
+        access.pair(code)
+
+
+def test_the_command_knows_the_roles_and_the_longest_validity_of_the_service() -> None:
+    options: dict[str | None, Any] = {option.name: option.type for option in pair_command.params}
+    assert list(options["role"].choices) == list(ROLES)
+    assert options["minutes"].max == MAX_MINUTES
 
 
 @pytest.mark.parametrize("name", ["", "   ", "x" * 41, "Büro 2"])

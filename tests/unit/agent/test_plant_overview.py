@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
@@ -75,6 +76,19 @@ def test_a_run_in_progress_is_not_called_unfinished_and_its_start_is_in_utc(tmp_
     (unfinished,), (busy,) = plant_summaries([elsewhere], NOW), plant_summaries([elsewhere], NOW, ("mill", run.run_id))
     assert (unfinished.verdict.name, busy.verdict.name) == ("unfinished", "running")
     assert f"{utc_time(run.started):%Y-%m-%d %H:%M}" in plant_html((busy,), "plant", NOW)
+
+
+def test_the_page_is_told_in_german_and_a_machine_keeps_its_name(tmp_path: Path) -> None:
+    with closing(HistoryStore(address(tmp_path, "Night"))) as store:
+        journaled(tmp_path / "state", 0, machine="Night")
+        sync(tmp_path / "state", store)
+        page = plant_html(plant_summaries(store.recent_runs(3), NOW), "Prior", NOW, "de")
+    texts = [cell.strip() for cell in re.findall(r">([^<]+)<", page.split("</style>")[1])]
+    assert {"Maschinen des Werks", "Night", "Kalibrierung", "Vor Tagen", "zu wenige Nächte", "01.11.2026 02:00"} <= {
+        *texts
+    }
+    assert "1 Maschinen in Prior, gelesen 13.11.2026 02:00 UTC" in page
+    assert re.search(r"[\u2068\u2069]", page) is None
 
 
 def test_the_page_has_a_row_for_each_machine(store: HistoryStore) -> None:

@@ -9,6 +9,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+from agent.language.sentences import as_it_is
 from agent.reports.page import (
     EventLine,
     Header,
@@ -121,6 +122,16 @@ def offline() -> ReportData:
 @pytest.fixture(scope="module")
 def offline_page(offline: ReportData) -> str:
     return render_report(offline)
+
+
+def test_the_report_in_german_leaves_names_and_reasons_of_people_as_they_are(offline: ReportData) -> None:
+    """Names that are words of the catalogue, such as a machine that is called Night."""
+    run = RunFacts(touches=1, machine_minutes=1.0, reason="aborted: Prior (Night)")
+    named = replace(offline, machine=as_it_is("Night"), tool_name=as_it_is("Prior"), run=run)
+    cells = re.findall(r">([^<]+)<", render_report(named, language="de"))
+    assert {"Night", "abgebrochen: Prior (Night)", "Kalibrierschein"} <= {*cells}
+    assert any(cell.startswith("Prior ") for cell in cells)
+    assert not any(mark in "".join(cells) for mark in "\u2068\u2069")
 
 
 class Page(HTMLParser):

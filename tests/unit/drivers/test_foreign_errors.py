@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import errno
+import socket
 import sqlite3
+import ssl
 from contextlib import closing
 from pathlib import Path
 
@@ -15,6 +17,12 @@ from drivers.foreign_errors import IN_THE_LOG, OurWords, cause_of
 
 class Own(OurWords, OSError):
     pass
+
+
+def expired_certificate() -> ssl.SSLCertVerificationError:
+    error = ssl.SSLCertVerificationError(1, "certificate verify failed: certificate has expired")
+    error.verify_code = 10
+    return error
 
 
 def raised_from(cause: Exception) -> Exception:
@@ -32,6 +40,11 @@ def raised_from(cause: Exception) -> Exception:
     [
         (ConnectionRefusedError(errno.ECONNREFUSED, "Connection refused"), "connection refused"),
         (raised_from(OSError(errno.ENOSPC, "No space left on device")), "no space left on the disk"),
+        (TimeoutError("timed out"), "no answer"),
+        (OSError(errno.ENOBUFS, "No buffer space available"), "the queue of the network interface is full"),
+        (socket.gaierror(socket.EAI_NONAME, "Name or service not known"), "the name of the host is not known"),
+        (ssl.SSLError(1, "[SSL: WRONG_VERSION_NUMBER] wrong version number"), "no TLS connection can be made"),
+        (expired_certificate(), "the certificate is not accepted: it has expired"),
         (raised_from(Own("the adapter has gone")), "the adapter has gone"),
     ],
 )

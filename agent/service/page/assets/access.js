@@ -6,7 +6,7 @@ import { ask, dropRefused, forgetToken, keepPaired, read, Refused, token } from 
 const NOBODY = { role: null, name: "", may: null };
 const PAIRING = /^#pair=([0-9]{6})$/;
 const listeners = new Set();
-let now = NOBODY;
+let now = NOBODY, known = null; // known: the token that `now` belongs to
 
 export const onAccess = (listener) => listeners.add(listener);
 
@@ -22,11 +22,13 @@ export function accessText() {
 
 /* Asks the service who this page is; a token that it does not accept any more is forgotten. */
 export async function learnAccess() {
+  const asked = token();
+  if (asked !== known) [now, known] = [NOBODY, asked]; // who had another token is not who has this one
   try {
     now = token() ? await read("/api/access", { withToken: true }) : NOBODY;
   } catch (error) {
     if (!(error instanceof Refused)) throw error;
-    if (![401, 403].includes(error.problem.status)) return;
+    if (![401, 403].includes(error.problem.status)) return tell();
     dropRefused();
     now = NOBODY;
     if (token()) return learnAccess();
@@ -36,13 +38,15 @@ export async function learnAccess() {
 
 /* Exchanges a code for a token of this browser, which it keeps until it is revoked. */
 export async function pairWith(code) {
-  keepPaired((await ask("/api/pair", { code })).token);
-  await learnAccess();
+  const { token: given, ...access } = await ask("/api/pair", { code });
+  keepPaired(given);
+  [now, known] = [access, given];
+  tell();
 }
 
 export function leave() {
   forgetToken();
-  now = NOBODY;
+  [now, known] = [NOBODY, null];
   tell();
 }
 

@@ -2,7 +2,7 @@
 import { request } from "./controls.js";
 import { askConfirmation } from "./dialogs.js";
 import { byId, make } from "./dom.js";
-import { inEnglish, known, number, onLanguage, say, timeOfDay } from "./language.js";
+import { inEnglish, instant, known, number, onLanguage, say, timeOfDay } from "./language.js";
 import { micrometres } from "./parts.js";
 import { read, Refused } from "./requests.js";
 import { openResiduals } from "./residuals.js";
@@ -33,11 +33,11 @@ export function openOperator() {
   const stage = make("div", { className: "stage" }), residuals = make("section", { className: "residuals" });
   const recent = make("ul", { className: "recent", id: "recent" });
   const progress = make("div", { className: "progress" }, whole.track, make("div", { className: "figures" }, percent, left), own.track, phase);
-  const result = make("div", { id: "result-place" }), links = make("ul", { className: "links", id: "links" });
+  const result = make("div", { id: "result-place" }), links = make("ul", { className: "links", id: "links" }), receivers = make("ul", { className: "links", id: "receivers" });
   const above = make("div", { className: "now" }, kind, words, progress);
-  const side = make("section", { className: "side", tabIndex: 0 }, above, cards, facts, links, result, residuals, recent);
+  const side = make("section", { className: "side", tabIndex: 0 }, above, cards, facts, links, receivers, result, residuals, recent);
   view.replaceChildren(stage, side);
-  const show = () => seen.status && render(seen.status, { side, kind, words, progress, whole, own, percent, left, phase, cards, facts, links });
+  const show = () => seen.status && render(seen.status, { side, kind, words, progress, whole, own, percent, left, phase, cards, facts, links, receivers });
   const showRecent = () => recent.replaceChildren(...seen.events.slice(0, RECENT).map(eventLine));
   on("status", () => {
     const run = seen.status?.unfinished ?? null;
@@ -69,6 +69,8 @@ function render(status, parts) {
   parts.facts.replaceChildren(...FACTS.map(([name, text]) => make("div", {}, make("dt", {}, say(name)), make("dd", {}, text(status)))));
   parts.links.ariaLabel = say("link.title");
   parts.links.replaceChildren(...status.links.map(linkMark));
+  parts.receivers.ariaLabel = say("receiver.title");
+  parts.receivers.replaceChildren(...status.receivers.filter(({ problem }) => problem).map(receiverMark));
   const cards = [
     ...(status.question ? [questionCard(status.question)] : []),
     ...(status.unproved ? [unprovedCard(status)] : []),
@@ -217,6 +219,14 @@ function bankText({ active_bank: bank, written_not_active: waiting, read_age_s: 
 }
 
 const ageText = (age) => (age < MINUTE_S ? say("age.seconds", { seconds: number(Math.floor(age), 0) }) : say("age.minutes", { minutes: number(Math.floor(age / MINUTE_S), 0) }));
+
+/* Channel of the notifications that fails: since when, why, and how many notices wait for it. */
+function receiverMark({ channel, waiting, problem, since }) {
+  const words = say("receiver.fails", { channel: say(`receiver.${channel}`), since: instant(since), waiting: number(waiting, 0) });
+  const mark = make("li", {}, make("span", { className: "shape", ariaHidden: "true" }), `${words}: ${told(problem)}`);
+  mark.dataset.look = "fault";
+  return mark;
+}
 
 function linkMark({ device, ok, problem, unread }) {
   const words = say(unread ? "link.unread" : ok ? "link.ok" : "link.lost");

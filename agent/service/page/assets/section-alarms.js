@@ -21,12 +21,13 @@ export async function parts({ again }) {
   return [heading("alarms.title"), remark("alarms.is"), table(heads, alarms.map(row), "alarms"), pager(offset, PAGE, total, go)];
 }
 
-const isOpen = (run) => seen.status?.run_id === run && seen.status.alarms.length > 0;
+/* An alarm between runs is open until its end is recorded. */
+const isOpen = (run) => !run || (seen.status?.run_id === run && seen.status.alarms.length > 0);
 
 function row({ since, until, run_id, kind, alarm: { code, text, where } }) {
   const meaning = known(`alarm.${code}`) ? make("b", {}, say(`alarm.${code}`)) : null;
   const place = Object.entries(where).map(([name, value]) => `${wordOr("where", name)} ${value}`).join(", ");
   return [number(code, 0), instant(since), until === null ? say(isOpen(run_id) ? "alarms.open" : "alarms.not_recorded") : instant(until),
     make("div", { className: "cause" }, meaning, make("div", {}, told(text)), place ? make("small", {}, place) : null),
-    make("div", {}, wordOr("kind", kind), make("br"), make("small", {}, run_id))];
+    run_id ? make("div", {}, wordOr("kind", kind), make("br"), make("small", {}, run_id)) : say("alarms.between")];
 }

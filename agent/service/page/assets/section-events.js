@@ -27,12 +27,13 @@ export async function parts({ run, again }) {
   ];
 }
 
-const groupOf = ({ kind }) => ({ state: "state", note: "note", event: "measured", asked: "asked", acknowledged: "asked" })[kind] ?? "note";
+const groupOf = ({ kind }) => ({ state: "state", note: "note", event: "measured", asked: "asked", request: "asked", acknowledged: "asked" })[kind] ?? "note";
 
 function textOf({ kind, record }) {
   if (kind === "state") return [stateWord(record.state), record.reason && reasonText(record.reason)].filter(Boolean).join(" – ");
   if (kind === "asked") return [wordOr("kind", record.kind ?? ""), wordOr("source", (record.source ?? "").replaceAll(" ", "_")), record.by].filter(Boolean).join(" – ");
   if (kind === "acknowledged") return [say("events.acknowledged"), record.by].filter(Boolean).join(" – ");
+  if (kind === "request") return [told(record.text), record.by].filter(Boolean).join(" – ");
   const { step } = record;
   const where = step ? [make("span", { title: step }, stepWords(step))] : [];
   const sentences = SENTENCES.filter((name) => record[name]).map((name) => told(record[name]));

@@ -9,7 +9,7 @@ const DECIMAL = /(?<![\p{L}\p{N}_./:])(?<![\p{L}_]-)([+\-−]?\d+)\.(\d+)(?![\p{
 const INSTANT = /(?<![\p{L}\p{N}_./:-])(\d{4})-(\d{2})-(\d{2})(?:[T ](\d{2}:\d{2}(?::\d{2})?)(?:\.\d+)?|(?![\p{L}\p{N}_./:-]*[\p{L}\p{N}_/]))(?![\dT-])/gu;
 
 let sentences = [], catalogue = {};
-const remembered = new Map(), MOST_REMEMBERED = 2000;
+const remembered = new Map(), MOST_REMEMBERED = 2000, DEEPEST = 8;
 
 export async function loadSentences() {
   catalogue = await (await fetch("/assets/german.json")).json();
@@ -22,40 +22,51 @@ export const told = (text) => (languageNow() === "de" && text ? german(text) : t
 function sentenceOf([english, words]) {
   const parts = english.split(/\{(\w+)\}/), literals = parts.filter((_, i) => i % 2 === 0);
   const longest = literals.reduce((one, other) => (other.length > one.length ? other : one));
-  return { words, literals, names: parts.filter((_, i) => i % 2), letters: literals.join("").length, needed: longest.slice(1), pattern: null };
+  return { words, literals, names: parts.filter((_, i) => i % 2), letters: literals.join("").length, needed: longest.slice(1) };
 }
 
-function filled(sentence, text) {
-  if (!text.includes(sentence.needed)) return null;
-  sentence.pattern ??= new RegExp(`^${sentence.literals.map(eitherCaseFirst).join("(.*?)")}$`, "s");
-  const found = sentence.pattern.exec(text);
-  return found && Object.fromEntries(sentence.names.map((name, i) => [name, found[i + 1]]));
+/* Each place is as short as the words after it permit, and the last one takes the rest. */
+function filled({ literals, names, needed }, text) {
+  if (!text.includes(needed) || !begins(text, literals[0])) return null;
+  const last = literals.at(-1), values = [];
+  let at = literals[0].length;
+  if (!names.length) return at === text.length ? {} : null;
+  for (const literal of literals.slice(1, -1)) {
+    const place = text.indexOf(literal, at);
+    if (place < 0) return null;
+    values.push(text.slice(at, place));
+    at = place + literal.length;
+  }
+  const end = text.length - last.length;
+  if (end < at || !text.endsWith(last)) return null;
+  return Object.fromEntries(names.map((name, i) => [name, [...values, text.slice(at, end)][i]]));
 }
 
-const escaped = (text) => text.replaceAll(/[.*+?^${}()|[\]\\/-]/g, "\\$&");
-const eitherCaseFirst = (literal) => (/^\p{L}/u.test(literal) ? `[${literal[0].toUpperCase()}${literal[0].toLowerCase()}]${escaped(literal.slice(1))}` : escaped(literal));
+const begins = (text, literal) => !literal || (text.slice(0, 1).toLowerCase() === literal[0].toLowerCase() && text.startsWith(literal.slice(1), 1));
 
-export function german(text) {
+/* `deepest`: number of sentences that lie inside of each other at most. */
+export function german(text, deepest = DEEPEST) {
   if (remembered.size >= MOST_REMEMBERED) remembered.clear();
-  if (!remembered.has(text)) remembered.set(text, found(text) ?? composed(text) ?? withGermanNumbers(text));
-  return remembered.get(text);
+  const key = `${deepest} ${text}`;
+  if (!remembered.has(key)) remembered.set(key, found(text, deepest) ?? (deepest ? composed(text, deepest - 1) : null) ?? withGermanNumbers(text));
+  return remembered.get(key);
 }
 
-function found(text) {
+function found(text, deepest) {
   if (Object.hasOwn(catalogue, text)) return catalogue[text];
-  for (const sentence of sentences) {
+  for (const sentence of deepest ? sentences : []) {
     const values = filled(sentence, text);
-    if (values && !Object.values(values).includes(text)) return sentence.words.replaceAll(PLACE, (_, name) => german(values[name]));
+    if (values && !Object.values(values).includes(text)) return sentence.words.replaceAll(PLACE, (_, name) => (name === "said" ? values.said : german(values[name], deepest - 1)));
   }
   return null;
 }
 
 /* An error in one line, or a text of several parts of which at least one is known. */
-function composed(text) {
-  const error = WHOLE_ERROR.exec(text)?.groups;
-  if (error && german(error.message) !== error.message) return `${german(error.message)} (${withGermanNumbers(error.places)})${error.hint ? `. ${german(error.hint)}` : ""}`;
+function composed(text, deepest) {
+  const error = WHOLE_ERROR.exec(text)?.groups, inside = (part) => german(part, deepest);
+  if (error && inside(error.message) !== error.message) return `${inside(error.message)} (${withGermanNumbers(error.places)})${error.hint ? `. ${inside(error.hint)}` : ""}`;
   for (const separator of SEPARATORS) {
-    const parts = text.split(separator), words = parts.length > 1 ? parts.map(german) : [];
+    const parts = text.split(separator), words = parts.length > 1 ? parts.map(inside) : [];
     if (words.some((one, i) => one !== withGermanNumbers(parts[i]))) return words.join(separator);
   }
   return null;
