@@ -1,10 +1,11 @@
 """Endurance of the service: many runs, one after another, in one service process, with clients that read and abort.
 
-    python -m campaigns.endurance [--runs 1000] [--csv endurance.csv]
+    python -m campaigns.endurance [--runs 1000] [--minutes MINUTES] [--csv endurance.csv]
 
 The machine is simulated and is reached over Modbus TCP and CAN. The first run is a calibration; then verifications
 follow. Every tenth run is a calibration again, and every tenth is aborted while it measures, and reset. After each run
-clients read what the page reads, and an event stream is opened and dropped. All runs but the latest are compacted.
+clients read what the page reads, and an event stream is opened and dropped. All runs but the latest are compacted. With
+--minutes no run begins after so many minutes of wall time, but for the first ten.
 
 The output ends with one line of JSON. The exit code is 0 only if memory, file handles and threads do not grow with the
 number of runs, every run has ended as it should, old runs were compacted, the machine had no collision, and the service
@@ -37,6 +38,7 @@ from campaigns.fortnight.incidents import FIRST_EVENING
 from campaigns.fortnight.plant import FortnightPlant
 from campaigns.fortnight.play import SHORT
 from campaigns.fortnight.service_process import STATUS_POLL_S, ServiceHost, wait_for
+from twin.units import S_PER_MIN
 
 EVERY = 10
 WHOLE_RUNS = 5
@@ -55,6 +57,7 @@ Row = dict[str, Any]
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=1000)
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="wall time after which no run begins")
     parser.add_argument("--csv", type=Path, help="write one row for each run")
     given = parser.parse_args(arguments)
     if given.runs < EVERY:
@@ -68,7 +71,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         compacting = f"[history]\nwhole_runs = {WHOLE_RUNS}\nwhole_days = 0.0\n"
         host.config.write_text(settings.replace("[history]\n", compacting), encoding="utf-8")
         host.serve()
-        rows = [_run(host, number) for number in range(given.runs)]
+        rows: list[Row] = []
+        ends = began + S_PER_MIN * given.minutes
+        while len(rows) < given.runs and (len(rows) < EVERY or perf_counter() < ends):
+            rows.append(_run(host, len(rows)))
         ended = host.stop()
         with open_journal(host.state) as journal:
             compacted = len(journal.compacted_runs())
@@ -76,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given.csv is not None:
         write_csv(rows, given.csv)
     result = judged(rows) | {"compacted": compacted, "exit_code": ended, "collisions": plant.collisions}
-    tidy = compacted >= given.runs - WHOLE_RUNS - MOST_WAITING
+    tidy = compacted >= len(rows) - WHOLE_RUNS - MOST_WAITING
     result["passed"] = result["passed"] and tidy and ended == 0 and plant.collisions == 0
     print(json.dumps(result | {"wall_seconds": round(perf_counter() - began, 1)}, allow_nan=False))
     return 0 if result["passed"] else 1
