@@ -28,6 +28,7 @@ from agent.service.opcua.companion_types import (
 )
 
 XML: Final = "{http://opcfoundation.org/UA/2011/03/UANodeSet.xsd}"
+MAX_VERSION: Final = 100
 DOWNLOAD: Final = "the node sets are in the repository UA-Nodeset of the OPC Foundation (docs/reference/opc-ua.md)"
 log = structlog.get_logger()
 
@@ -107,12 +108,15 @@ def read_node_sets(directory: Path) -> Mapping[str, NodeSetFile]:
 def _read(path: Path) -> NodeSetFile:
     try:
         root = ElementTree.parse(path).getroot()  # noqa: S314  a file that the administrator of this computer chose
-    except (OSError, ElementTree.ParseError, ValueError) as error:
+    except (OSError, ElementTree.ParseError, ValueError, LookupError) as error:  # LookupError: an unknown encoding
         raise _damaged(path, error) from error
     model = root.find(f"{XML}Models/{XML}Model")
     if root.tag != f"{XML}UANodeSet" or model is None:
         raise _damaged(path, "it is not a UANodeSet with a model")
-    return NodeSetFile(path, root, model.get("ModelUri", ""), model.get("Version", ""))
+    version = model.get("Version", "")
+    if len(version) > MAX_VERSION:
+        raise _damaged(path, "the version of its model is too long")
+    return NodeSetFile(path, root, model.get("ModelUri", ""), version)
 
 
 def _damaged(path: Path, reason: object) -> EndpointUnavailable:
