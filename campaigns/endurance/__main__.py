@@ -8,8 +8,8 @@ clients read what the page reads, and an event stream is opened and dropped. All
 --minutes no run begins after so many minutes of wall time, but for the first ten.
 
 The output ends with one line of JSON. The exit code is 0 only if memory, file handles and threads do not grow with the
-number of runs, every run has ended as it should, old runs were compacted, the machine had no collision, and the service
-ends on SIGTERM.
+number of runs, every run has ended as it should, old runs were compacted and have their reports and tables, the machine
+had no collision, and the service ends on SIGTERM.
 """
 
 from __future__ import annotations
@@ -32,6 +32,9 @@ import numpy as np
 import structlog
 
 from agent.execution.journal_reader import open_journal
+from agent.execution.journal_rows import RunRow
+from agent.execution.run_record import read_record
+from agent.reports.run_report import report_of
 from benchmarks.places import memory_directory, write_csv
 from campaigns.endurance.process_use import Use, growth_per_run
 from campaigns.fortnight.incidents import FIRST_EVENING
@@ -77,13 +80,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
             rows.append(_run(host, len(rows)))
         ended = host.stop()
         with open_journal(host.state) as journal:
-            compacted = len(journal.compacted_runs())
+            compacted = [row for row in journal.runs() if row.run in journal.compacted_runs()]
+        lost = [row.run_id for row in compacted if row.state == "complete" and not _is_whole(host.state, row)]
     plant.switch_off()
     if given.csv is not None:
         write_csv(rows, given.csv)
-    result = judged(rows) | {"compacted": compacted, "exit_code": ended, "collisions": plant.collisions}
-    tidy = compacted >= len(rows) - WHOLE_RUNS - MOST_WAITING
-    result["passed"] = result["passed"] and tidy and ended == 0 and plant.collisions == 0
+    result = judged(rows) | {
+        "compacted": len(compacted),
+        "lost": lost,
+        "exit_code": ended,
+        "collisions": plant.collisions,
+    }
+    tidy = len(compacted) >= len(rows) - WHOLE_RUNS - MOST_WAITING
+    result["passed"] = result["passed"] and tidy and not lost and ended == 0 and plant.collisions == 0
     print(json.dumps(result | {"wall_seconds": round(perf_counter() - began, 1)}, allow_nan=False))
     return 0 if result["passed"] else 1
 
@@ -107,6 +116,16 @@ def _run(host: ServiceHost, number: int) -> Row:
     print(f"{number + 1:4d} {kind:9s} {state:9s} {use.memory_mb:6.1f} MB, {use.handles} handles, ", end="")
     print(f"{use.threads} threads, {use.disk_mb:.1f} MB on disk, {use.cpu_s:.1f} s", flush=True)
     return row
+
+
+def _is_whole(state: Path, row: RunRow) -> bool:
+    """Return True if a complete and compacted run has its report and, after a calibration, its table, and if its
+    report can be made again."""
+    folder = state / row.run_id
+    report = (folder / "report.html").read_text(encoding="utf-8") if (folder / "report.html").is_file() else ""
+    report_of(read_record(state, row.run_id))
+    has_table = row.kind != "calibrate" or (folder / "table.csv").is_file()
+    return report.rstrip().endswith("</html>") and has_table
 
 
 def judged(rows: Sequence[Row]) -> Row:
