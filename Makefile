@@ -110,9 +110,10 @@ grbl: setup
 	$(BIN)/python -m campaigns.grbl --events $(EVENTS)
 
 # Short calibrations, each with one or two faults of the controller, the cell, the computer or the wire at random instants;
-# unfinished runs are resumed. Some hours of CPU time; ends with one line of JSON.
+# unfinished runs are resumed. Three hours of CPU time, in parts with FIRST; ends with one line of JSON.
+FIRST ?= 0
 faults: setup
-	$(BIN)/python -m campaigns.faults --count $(COUNT) --seed $(SEED) --workers 2
+	$(BIN)/python -m campaigns.faults --first $(FIRST) --count $(COUNT) --seed $(SEED) --workers 2
 
 # Many runs in one service with clients: memory, handles, threads and disk space per run. 1,000 runs take two hours of CPU
 # time; with MINUTES no run begins later; ends with one line of JSON.
