@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup run test quick long-forms check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming foreign linuxcnc grbl faults crash-points power-cuts requests fuzz fuzz-guided http-interface gcode part-programs schema reference figures deb deb-test clean
+.PHONY: setup run test quick long-forms check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming foreign linuxcnc grbl faults endurance crash-points power-cuts requests fuzz fuzz-guided http-interface gcode part-programs schema reference figures deb deb-test clean
 
 setup: $(STAMP)
 
@@ -111,9 +111,17 @@ grbl: setup
 	$(BIN)/python -m campaigns.grbl --events $(EVENTS)
 
 # Short calibrations, each with one or two faults of the controller, the cell, the computer or the wire at random instants;
-# unfinished runs are resumed. Some hours of CPU time; ends with one line of JSON.
+# unfinished runs are resumed. Three hours of CPU time, in parts with FIRST; ends with one line of JSON.
+FIRST ?= 0
 faults: setup
-	$(BIN)/python -m campaigns.faults --count $(COUNT) --seed $(SEED) --workers 2
+	$(BIN)/python -m campaigns.faults --first $(FIRST) --count $(COUNT) --seed $(SEED) --workers 2
+
+# Many runs in one service with clients: memory, handles, threads and disk space per run. 1,000 runs take two hours of CPU
+# time; with MINUTES no run begins later; ends with one line of JSON.
+RUNS ?= 1000
+MINUTES ?= inf
+endurance: setup
+	$(BIN)/python -m campaigns.endurance --runs $(RUNS) --minutes $(MINUTES)
 
 # Two runs with write-back whose process is killed at some 700 points: at commits of the journal, around commands, in
 # motions. Half an hour of CPU time; ends with one line of JSON. EVERY=1: each point, half a day.

@@ -41,8 +41,10 @@ ORIGIN = "SELECT run, run_id, settings, record, begun_s, begun_at FROM runs JOIN
 STEP = "SELECT ordinal, key, kind, detail, begun, finished, result, error FROM {at}steps "
 TOUCH = "FROM {at}steps WHERE run = :run AND kind = 'TouchTowards' AND result IS NOT NULL AND NOT aside "
 TEMPERATURE = (
-    "SELECT (finished - (SELECT min(begun) FROM {at}steps WHERE run = :run)) / 60.0, record "
-    "FROM {at}temperatures JOIN {at}steps USING (run, ordinal) WHERE run = :run ORDER BY ordinal"
+    "SELECT (finished - (SELECT min(begun) FROM {at}steps WHERE run = :run)) / 60.0, reading.record "
+    "FROM {at}temperatures AS reading JOIN {at}steps USING (run, ordinal) WHERE run = :run "
+    "AND reading.key NOT IN (SELECT json_extract(record, '$.rejected') FROM events WHERE run = :run "
+    "AND kind = 'event' AND json_extract(record, '$.rejected') IS NOT NULL) ORDER BY ordinal"
 )
 DECISION = "SELECT run, run_id, decisions.rowid, at, decisions.kind, record FROM decisions JOIN runs USING (run) "
 TABLE = (

@@ -251,6 +251,8 @@ class JournalReader:
         return int(self._measured_value("SELECT count(*) FROM {at}balls WHERE run = :run", run))
 
     def temperatures(self, run: int) -> tuple[TemperatureRow, ...]:
+        """Return the temperature readings of a run in the order in which they were made, without those that the run has
+        rejected, which are named by events with the field `rejected`."""
         return tuple(TemperatureRow(*row) for row in self._measured(queries.TEMPERATURE, run))
 
     def events(

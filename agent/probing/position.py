@@ -76,6 +76,11 @@ class MeasuredPosition:
         return Position(one.station, one.azimuth_deg, one.elevation_deg)
 
     @property
+    def conditions(self) -> tuple[Conditions, ...]:
+        """Temperature readings at the balls."""
+        return tuple(ball.conditions for ball in self.balls)
+
+    @property
     def all_balls(self) -> tuple[MeasuredBall, ...]:
         """All measured balls of the position. If the first ball was measured again, its repeated measurement is the
         last element."""

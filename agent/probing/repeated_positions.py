@@ -93,7 +93,7 @@ def _repeated(
 ) -> RunPlan:
     yield Record(f"{REPEAT_PREFIX}/machine", "event", {"note": reason})
     again = MeasuringOrder(REPEAT_PREFIX, first, measured.standing_at, measured.placed)
-    more = yield from measure_positions(again, layout, rules, measured.mount_poses)
+    more = yield from measure_positions(again, layout, rules, measured.mount_poses, measured.last_conditions)
     return (yield from then(join_measured(measured, more)))
 
 

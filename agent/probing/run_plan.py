@@ -82,6 +82,11 @@ class MeasuredPositions:
         return sum(p.lost for p in self.positions)
 
     @property
+    def last_conditions(self) -> tuple[Conditions, ...]:
+        """Temperature readings of the last position; empty if none was measured."""
+        return self.positions[-1].conditions if self.positions else ()
+
+    @property
     def uncheckable(self) -> int:
         """Number of positions with so few measured balls that a wrong one cannot be told from the others."""
         return sum(len(p.balls) < CHECKABLE_BALLS for p in self.positions)
@@ -92,14 +97,16 @@ def measure_positions(
     layout: MeasuringLayout,
     rules: PositionRules,
     known: Mapping[int, MountPoseEstimate] | None = None,
+    before: Sequence[Conditions] = (),
 ) -> Plan[MeasuredPositions]:
     """Measure every position of `order` that has enough balls within reach. `known` maps stations to the poses of the
-    mount that were estimated earlier in the run."""
+    mount that were estimated earlier in the run, and `before` holds the temperature readings of the position that was
+    measured last in the run."""
     yield CheckPermissions(f"{order.prefix}/permissions")
     yield CheckProbe(f"{order.prefix}/probe")
     yield ReadTemperatures(f"{order.prefix}/temperatures")
     if rules.placement is not None:
-        return (yield from _measure_placed(order, layout, rules, rules.placement))
+        return (yield from _measure_placed(order, layout, rules, rules.placement, before))
     here = np.array((yield ReadPosition(f"{order.prefix}/here")))
     mount_poses: dict[int, MountPoseEstimate] = dict(known or {})
     standing_at = order.standing_at
@@ -139,12 +146,12 @@ def measure_positions(
             reachable=mask,
             located=len(mount_pose.expected) > 0,
         )
-        before = [ball.conditions for ball in measured_positions[-1].balls] if measured_positions else []
         measured = yield from measure_position(task, here, rules, before, planner)
         _refuse_reversed(key, measured, layout.artefact_at(position.station))
         mount_poses[position.station] = mount_pose.with_found_balls(nominal[measured.ball_numbers], measured.centres_mm)
         here = np.array((yield ReadPosition(f"{key}/here")))
         measured_positions.append(measured)
+        before = measured.conditions
         entered_key = key
     if entered_key:
         yield from planner.leave(entered_key, measured_positions[-1].last_mm)
@@ -152,7 +159,11 @@ def measure_positions(
 
 
 def _measure_placed(
-    order: MeasuringOrder, layout: MeasuringLayout, rules: PositionRules, placement: HandPlacement
+    order: MeasuringOrder,
+    layout: MeasuringLayout,
+    rules: PositionRules,
+    placement: HandPlacement,
+    before: Sequence[Conditions],
 ) -> Plan[MeasuredPositions]:
     """Measure the positions of an artefact that is placed by hand in each of them.
 
@@ -171,11 +182,11 @@ def _measure_placed(
             left_out.append(name)
             yield Record(f"{order.prefix}/{name}/left-out", "event", {"reachable_balls": int(mask.sum())})
             continue
-        before = [ball.conditions for ball in measured_positions[-1].balls] if measured_positions else []
         measuring = _PlacedMeasurement(f"{order.prefix}/{name}", number, position, layout, rules, placement)
         measured = yield from measuring.measure(before, standing=placed == position)
         number, placed = measuring.number + 1, position
         measured_positions.append(measured)
+        before = measured.conditions
     standing_at = order.standing_at if placed is None else placed.station
     return MeasuredPositions(tuple(measured_positions), tuple(left_out), unreachable, standing_at, {}, placed)
 

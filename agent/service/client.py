@@ -96,7 +96,7 @@ class Client:
         """Return the JSON object of an answer. Raise the error that a problem document describes."""
         try:
             document = answer.json()
-        except ValueError:
+        except (ValueError, RecursionError):
             document = None
         if not isinstance(document, dict):
             raise ProtocolError(
@@ -125,8 +125,11 @@ def error_of(problem: Mapping[str, Any]) -> VolcalError:
     kind = getattr(errors, title, None) or getattr(run_errors, title, None)
     if not (isinstance(kind, type) and issubclass(kind, VolcalError)):
         kind = errors.CommandRejected
-    where = {str(name): str(value) for name, value in dict(problem.get("where") or {}).items()}
-    return kind(str(problem.get("detail", "refused")), hint=str(problem.get("hint", "")), **where)
+    where = problem.get("where")
+    places = {str(name): str(value) for name, value in where.items()} if isinstance(where, Mapping) else {}
+    error: VolcalError = kind(str(problem.get("detail", "refused")), hint=str(problem.get("hint", "")))
+    error.where.update(places)
+    return error
 
 
 def _connect(settings: Settings) -> httpx.Client:
@@ -177,8 +180,8 @@ def _parse_events(lines: Iterator[str]) -> Iterator[tuple[str, Document]]:
                 data += value.strip()
             case "" if not line and data:
                 try:
-                    document = json.loads(data)
-                except ValueError as error:
+                    document = _printable(json.loads(data))
+                except (ValueError, RecursionError) as error:
                     raise ProtocolError(f"an event of the service cannot be read: {error}") from error
-                yield kind, _printable(document)
+                yield kind, document
                 kind, data = "message", ""

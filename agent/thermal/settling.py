@@ -81,9 +81,10 @@ class SettlingRules:
 def read_conditions(key: str, rules: SettlingRules, before: Conditions | None) -> Plan[Conditions]:
     """Read the temperatures of artefact and machine, and the run's clock. The machine does not move.
 
-    If the readings are in doubt (`SettlingRules.doubt`), they are not used, and the thermometers are read again. The
-    last of these readings is a step that raises ThermometerFault if it is in doubt, too. `before` holds the readings
-    used last; it is None if there are none.
+    If the readings are in doubt (`SettlingRules.doubt`), they are not used, and the thermometers are read again. An
+    event names them as rejected, so that they are not among the temperatures of the run. The last of these readings is
+    a step that raises ThermometerFault if it is in doubt, too. `before` holds the readings used last; it is None if
+    there are none.
     """
     first_doubt = ""
     for attempt in range(1 + REPEATED_READINGS):
@@ -98,6 +99,7 @@ def read_conditions(key: str, rules: SettlingRules, before: Conditions | None) -
         first_doubt = first_doubt or doubt
         if is_last or not doubt:
             break
+        yield Record(f"{here}/rejected", "event", {"rejected": f"{here}/temperatures", "reason": doubt})
     found = conditions_of(rules.thermometers, readings_c, instant_s)
     if first_doubt:
         note = f"{first_doubt}; this is not used, since {found.artefact_c:.2f} °C was read again"

@@ -1,14 +1,15 @@
 """Endurance of the service: many runs, one after another, in one service process, with clients that read and abort.
 
-    python -m campaigns.endurance [--runs 1000] [--csv endurance.csv]
+    python -m campaigns.endurance [--runs 1000] [--minutes MINUTES] [--csv endurance.csv]
 
 The machine is simulated and is reached over Modbus TCP and CAN. The first run is a calibration; then verifications
 follow. Every tenth run is a calibration again, and every tenth is aborted while it measures, and reset. After each run
-clients read what the page reads, and an event stream is opened and dropped. All runs but the latest are compacted.
+clients read what the page reads, and an event stream is opened and dropped. All runs but the latest are compacted. With
+--minutes no run begins after so many minutes of wall time, but for the first ten.
 
 The output ends with one line of JSON. The exit code is 0 only if memory, file handles and threads do not grow with the
-number of runs, every run has ended as it should, old runs were compacted, the machine had no collision, and the service
-ends on SIGTERM.
+number of runs, every run has ended as it should, old runs were compacted and have their reports and tables, the machine
+had no collision, and the service ends on SIGTERM.
 """
 
 from __future__ import annotations
@@ -31,12 +32,16 @@ import numpy as np
 import structlog
 
 from agent.execution.journal_reader import open_journal
+from agent.execution.journal_rows import RunRow
+from agent.execution.run_record import read_record
+from agent.reports.run_report import report_of
 from benchmarks.places import memory_directory, write_csv
 from campaigns.endurance.process_use import Use, growth_per_run
 from campaigns.fortnight.incidents import FIRST_EVENING
 from campaigns.fortnight.plant import FortnightPlant
 from campaigns.fortnight.play import SHORT
 from campaigns.fortnight.service_process import STATUS_POLL_S, ServiceHost, wait_for
+from twin.units import S_PER_MIN
 
 EVERY = 10
 WHOLE_RUNS = 5
@@ -55,6 +60,7 @@ Row = dict[str, Any]
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=1000)
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="wall time after which no run begins")
     parser.add_argument("--csv", type=Path, help="write one row for each run")
     given = parser.parse_args(arguments)
     if given.runs < EVERY:
@@ -68,16 +74,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
         compacting = f"[history]\nwhole_runs = {WHOLE_RUNS}\nwhole_days = 0.0\n"
         host.config.write_text(settings.replace("[history]\n", compacting), encoding="utf-8")
         host.serve()
-        rows = [_run(host, number) for number in range(given.runs)]
+        rows: list[Row] = []
+        ends = began + S_PER_MIN * given.minutes
+        while len(rows) < given.runs and (len(rows) < EVERY or perf_counter() < ends):
+            rows.append(_run(host, len(rows)))
         ended = host.stop()
         with open_journal(host.state) as journal:
-            compacted = len(journal.compacted_runs())
+            compacted = [row for row in journal.runs() if row.run in journal.compacted_runs()]
+        lost = [row.run_id for row in compacted if row.state == "complete" and not _is_whole(host.state, row)]
     plant.switch_off()
     if given.csv is not None:
         write_csv(rows, given.csv)
-    result = judged(rows) | {"compacted": compacted, "exit_code": ended, "collisions": plant.collisions}
-    tidy = compacted >= given.runs - WHOLE_RUNS - MOST_WAITING
-    result["passed"] = result["passed"] and tidy and ended == 0 and plant.collisions == 0
+    result = judged(rows) | {
+        "compacted": len(compacted),
+        "lost": lost,
+        "exit_code": ended,
+        "collisions": plant.collisions,
+    }
+    tidy = len(compacted) >= len(rows) - WHOLE_RUNS - MOST_WAITING
+    result["passed"] = result["passed"] and tidy and not lost and ended == 0 and plant.collisions == 0
     print(json.dumps(result | {"wall_seconds": round(perf_counter() - began, 1)}, allow_nan=False))
     return 0 if result["passed"] else 1
 
@@ -101,6 +116,16 @@ def _run(host: ServiceHost, number: int) -> Row:
     print(f"{number + 1:4d} {kind:9s} {state:9s} {use.memory_mb:6.1f} MB, {use.handles} handles, ", end="")
     print(f"{use.threads} threads, {use.disk_mb:.1f} MB on disk, {use.cpu_s:.1f} s", flush=True)
     return row
+
+
+def _is_whole(state: Path, row: RunRow) -> bool:
+    """Return True if a complete and compacted run has its report and, after a calibration, its table, and if its
+    report can be made again."""
+    folder = state / row.run_id
+    report = (folder / "report.html").read_text(encoding="utf-8") if (folder / "report.html").is_file() else ""
+    report_of(read_record(state, row.run_id))
+    has_table = row.kind != "calibrate" or (folder / "table.csv").is_file()
+    return report.rstrip().endswith("</html>") and has_table
 
 
 def judged(rows: Sequence[Row]) -> Row:

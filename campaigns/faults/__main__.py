@@ -1,6 +1,6 @@
 """Trial of short calibrations, each with one or two faults at random instants. The output ends with one line of JSON.
 
-    python -m campaigns.faults [--count 10000] [--seed 1] [--workers 2] [--only NIGHT]
+    python -m campaigns.faults [--count 10000] [--first 0] [--seed 1] [--workers 2] [--only NIGHT | --known]
 
 Each night is a whole run with probe check, qualification, measuring, identification, staging, activation and
 verification on a simulated machine, with the table of an earlier run (the former table) active. One fault of the
@@ -11,7 +11,8 @@ run ends because of the first one, or in the resumed run. In the morning the fau
 again, or its run is resumed, or given up; a resumed run is judged as the night was.
 
 A night that violates an invariant is printed, one JSON object a line, with its seed and number; `--only NIGHT` plays it
-again in this process and prints its whole record. The exit code is 0 only if no invariant is violated.
+again in this process and prints its whole record. `--first` goes on with the nights of a seed after earlier calls.
+`--known` plays the nights that have once found a defect. The exit code is 0 only if no invariant is violated.
 """
 
 from __future__ import annotations
@@ -30,26 +31,39 @@ from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # must be set before numpy is imported
 
-from campaigns.faults.night_record import INVARIANTS, NightRecord, cannot_be_seen, left_to_a_person, violations
+from campaigns.faults.night_record import (
+    INVARIANTS,
+    NightRecord,
+    cannot_be_seen,
+    is_misled,
+    left_to_a_person,
+    violations,
+)
 from campaigns.faults.nights import NIGHTS_PER_MACHINE, Share, machine_seed, play_nights, play_share
-from campaigns.faults.planned_night import plan_night
+from campaigns.faults.planned_night import KNOWN_NIGHTS, plan_night
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=10000, help="number of nights")
+    parser.add_argument("--first", type=int, default=0, help="number of the first night, a multiple of 50")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=2, help="number of processes")
-    parser.add_argument("--only", type=int, metavar="NIGHT", help="play this night alone, in this process")
+    chosen = parser.add_mutually_exclusive_group()
+    chosen.add_argument("--only", type=int, metavar="NIGHT", help="play this night alone, in this process")
+    chosen.add_argument("--known", action="store_true", help="play the nights that have once found a defect")
     given = parser.parse_args(arguments)
+    if given.first % NIGHTS_PER_MACHINE:
+        parser.error(f"--first must be a multiple of {NIGHTS_PER_MACHINE}: so many nights have one machine")
     began = perf_counter()
     records: list[NightRecord] = []
     cpu_s = 0.0
-    if given.only is not None:
-        records = play_nights([plan_night(given.seed, given.only)], machine_seed(given.seed, given.only), forked=False)
-        print(json.dumps(asdict(records[0]), default=str))
+    alone = KNOWN_NIGHTS if given.known else () if given.only is None else (plan_night(given.seed, given.only),)
+    for planned in alone:
+        records += play_nights([planned], machine_seed(planned.seed, planned.night), forked=False)
+        print(json.dumps(asdict(records[-1]), default=str))
         cpu_s = process_time()
-    for found, used_s in [] if given.only is not None else _played(given.seed, given.count, given.workers):
+    for found, used_s in () if alone else _played(given.seed, given.first, given.count, given.workers):
         records += found
         cpu_s += used_s
         for night in found:
@@ -65,9 +79,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if result["passed"] else 1
 
 
-def _played(seed: int, count: int, workers: int) -> Iterator[tuple[list[NightRecord], float]]:
+def _played(seed: int, first: int, count: int, workers: int) -> Iterator[tuple[list[NightRecord], float]]:
+    end = first + count
     shares = [
-        Share(seed, first, min(first + NIGHTS_PER_MACHINE, count)) for first in range(0, count, NIGHTS_PER_MACHINE)
+        Share(seed, begin, min(begin + NIGHTS_PER_MACHINE, end)) for begin in range(first, end, NIGHTS_PER_MACHINE)
     ]
     if workers == 1:
         yield from map(play_share, shares)
@@ -109,6 +124,7 @@ def summarise(records: Sequence[NightRecord]) -> dict[str, Any]:
         "left_to_the_morning": sum(night.active != night.former and not night.accepted for night in records),
         "left_to_a_person": sum(left_to_a_person(night.last) for night in records),
         "cannot_be_seen": dict(Counter(night.last.unseen for night in records if cannot_be_seen(night.last))),
+        "misled_by_a_thermometer": sum(is_misled(night.last) for night in records),
         "violations": {name: violated[name] for name in INVARIANTS},
     }
 

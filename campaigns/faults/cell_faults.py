@@ -1,8 +1,7 @@
-"""Faults of the cell: the artefact, its mount, the thermometer, the probe, the units of the controller."""
+"""Faults of the cell: the artefact, its mount, the probe, the units of the controller."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -96,17 +95,6 @@ def inches(scene: FaultScene, rng: Generator) -> None:
         return AxisLimits(**inch)
 
     device.alter(move_to=move, touch_towards=touch, position=lambda real: real() / MM_PER_INCH, limits=limits)
-
-
-def thermometer_stuck(scene: FaultScene, rng: Generator) -> None:
-    """Let all thermometers show one value from now on."""
-    value = float(rng.choice([0.0, 85.0, -127.0, float("nan"), 18.0, 21.0, 25.0]))
-    scene.size = f"{value:g} °C"
-
-    def read(real: Any) -> Mapping[str, float]:
-        return dict.fromkeys(real(), value)
-
-    scene.machine.alter(temperatures_c=read)
 
 
 def probe_battery(scene: FaultScene, _: Generator) -> None:

@@ -7,7 +7,14 @@ from dataclasses import dataclass
 
 from numpy.random import Generator
 
-from campaigns.faults import cell_faults, computer_faults, controller_faults, proxy_faults, wire_faults
+from campaigns.faults import (
+    cell_faults,
+    computer_faults,
+    controller_faults,
+    proxy_faults,
+    thermometer_faults,
+    wire_faults,
+)
 from campaigns.faults.fault_scene import FaultScene
 
 CONTROLLER, CELL, COMPUTER, WIRE = "controller", "cell", "computer", "wire"
@@ -57,7 +64,14 @@ KINDS: dict[str, FaultKind] = {
     "ball exchanged": FaultKind(CELL, cell_faults.ball_exchanged, (), of_evening=True),
     "wrong bar": FaultKind(CELL, cell_faults.wrong_bar, (), of_evening=True),
     "inches": FaultKind(CELL, cell_faults.inches, (), of_evening=True),
-    "thermometer stuck": FaultKind(CELL, cell_faults.thermometer_stuck, ()),
+    "thermometer wrong": FaultKind(CELL, thermometer_faults.wrong, ()),
+    "thermometer stuck": FaultKind(CELL, thermometer_faults.stuck, ()),
+    "thermometer unit": FaultKind(CELL, thermometer_faults.wrong_unit, ("the artefact",), of_evening=True),
+    "thermometer jumps": FaultKind(CELL, thermometer_faults.jumps, ("the artefact",)),
+    "thermometer drifts": FaultKind(CELL, thermometer_faults.drifts, ()),
+    "thermometer lost": FaultKind(
+        CELL, thermometer_faults.lost, ("the artefact", thermometer_faults.SILENT), cleared=True
+    ),
     "probe battery": FaultKind(CELL, cell_faults.probe_battery, ("probe",)),
     "disk full": FaultKind(COMPUTER, computer_faults.disk_full, ("the journal cannot be written",), cleared=True),
     "read-only": FaultKind(COMPUTER, computer_faults.read_only, ("the journal cannot be written",), cleared=True),

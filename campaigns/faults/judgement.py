@@ -19,6 +19,7 @@ from agent.runs.reconcile import reconcile
 from agent.runs.reference_state import ACTIVATING_DECISIONS
 from agent.runs.resume.abandon import abandon
 from agent.runs.session import RunResult
+from agent.thermal.readings import ARTEFACT
 from campaigns.aborts.case import FORMER_BANK, FORMER_TABLE
 from campaigns.faults.fault_injector import RETURN_PREFIX, FaultInjector
 from campaigns.faults.fault_kinds import KINDS, WIRE
@@ -29,12 +30,18 @@ from campaigns.faults.planned_night import PlannedNight
 from drivers.clock import VirtualClock
 from drivers.errors import VolcalError
 from simulators.backend import SimulatedMachineDevice
+from twin.units import UM_PER_MM
 
 SETTLE_S = 60.0
 """Time in s after the end of the run, longer than any motion of it."""
 ABORT_WITHIN_S = 0.06
 """Machine time in s after which an abort must be in effect: one part of a wait, and rounding."""
 ACTING = frozenset(kind.__name__ for kind in s.STEPS_WITH_EFFECT)
+THERMOMETERS = frozenset(kind for kind in KINDS if kind.startswith("thermometer"))
+LARGEST_EXPANSION_PER_K = 12e-6
+"""Thermal expansion of steel in 1/K; no artefact expands more."""
+STATED_K = 0.3
+"""Error in K that the stated uncertainty of the thermometer, 0.1 K, covers."""
 UNRESTORED = ("could not be made active again", BANK_DOUBTED)
 """Words of which the reason of a run that has not restored the former table must contain one."""
 
@@ -99,6 +106,7 @@ def record_run(run: EndedRun, night: PlannedNight) -> NightRecord:
         complete_table=active == 0 or active in controller.banks,
         former_intact=former is not None and former.same_as(FORMER_TABLE),
         written=tuple(injector.written),
+        misled_um=_misled_um(scene) if THERMOMETERS.intersection(injector.kinds) else 0.0,
         told_unrestored=any(words in told["reason"] for words in UNRESTORED),
         unseen=_unseen(scene),
         killed=run.killed,
@@ -124,6 +132,18 @@ def _unseen(scene: FaultScene) -> str:
     if scene.deceived != {FORMER_BANK} and journal.has_decision(runs[-1].run, ("proof",)):
         return ""  # the proof has measured that the first activation was reported wrongly
     return "the controller reports the former bank as active, and nothing is measured after its activation"
+
+
+def _misled_um(scene: FaultScene) -> float:
+    """Return the largest error in µm by which a table may be wrong because the thermometer of the artefact was, at the
+    readings that the run has used: nothing on the machine tells a wrong temperature of the bar from a wrong scale."""
+    journal, controller = scene.journal(), scene.world.controller
+    runs, true_c = journal.runs(), controller.temperatures()[ARTEFACT]
+    readings = journal.temperatures(runs[-1].run) if runs else ()
+    wrong_k = max((abs(row.record[ARTEFACT] - true_c) for row in readings if ARTEFACT in row.record), default=0.0)
+    limits = controller.limits()
+    diagonal_mm = float(np.linalg.norm(np.subtract(limits.upper_mm, limits.lower_mm)))
+    return round(UM_PER_MM * LARGEST_EXPANSION_PER_K * wrong_k * diagonal_mm, 3) if wrong_k > STATED_K else 0.0
 
 
 def _of_table(active: int, scene: FaultScene) -> dict[str, Any]:

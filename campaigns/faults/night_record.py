@@ -32,11 +32,13 @@ class NightRecord:
     the run. `steps_after_abort` are the keys of the procedure's steps that began after an abort. `active` and `former`
     are the CRC-32 of the tables that act in the controller at the end and that acted before; `morning` is that of the
     table that acts once the fault has been removed and volcal has been started again, which says `morning_says`.
-    `written` are those that the run has handed to the controller. `complete_table` is False if the active bank is
-    empty. `reason` is the reason of the end as the journal has it, or as the run told it if the journal could not be
-    written. `reasons` are words of which the reason must contain one; it is empty if the fault may be unnoticed. `step`
-    is the step that the error of the run names, and `place` the device or link. `raised` is an exception that left the
-    run. `unseen` is why nothing could show the run that the former table does not act; it is empty if something could.
+    `written` are those that the run has handed to the controller. `misled_um` is how wrong a table may be because
+    the run has used wrong readings of a thermometer. `complete_table` is False if the active bank is empty.
+    `reason` is the reason of the end as the journal has it, or as the run told it if the journal could not be
+    written. `reasons` are words of which the reason must contain one; it is empty if the fault may be unnoticed.
+    `step` is the step that the error of the run names, and `place` the device or link. `raised` is an exception
+    that left the run. `unseen` is why nothing could show the run that the former table does not act; it is empty if
+    something could.
     """
 
     seed: int
@@ -62,6 +64,7 @@ class NightRecord:
     accepted: bool = False
     before_um: float | None = None
     after_um: float | None = None
+    misled_um: float = 0.0
     told_unrestored: bool = False
     unseen: str = ""
     acknowledged_touches: int = 0
@@ -169,9 +172,17 @@ def _unproved(night: NightRecord) -> str:
         return ""
     if not night.accepted:
         return f"table {acts:08x} acts and was never proved"
-    if night.before_um is None or night.after_um is None or night.after_um >= night.before_um:
+    if night.before_um is None or night.after_um is None or night.after_um >= night.before_um + night.misled_um:
         return f"the accepted table makes the machine worse: {night.before_um} -> {night.after_um} µm"
     return ""
+
+
+def is_misled(night: NightRecord) -> bool:
+    """Return True if an accepted table makes the machine worse, but by no more than the wrong readings of a thermometer
+    that the run has used explain."""
+    if not night.accepted or night.before_um is None or night.after_um is None:
+        return False
+    return night.before_um <= night.after_um < night.before_um + night.misled_um
 
 
 def _unrestored(night: NightRecord) -> str:

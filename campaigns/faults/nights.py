@@ -11,6 +11,7 @@ import sqlite3
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +48,9 @@ CHILD_TIMEOUT_S = 600.0
 MakeRig = Callable[[Clock, Settings], Rig]
 
 NIGHTS_PER_MACHINE = 50
+UNDISTURBED_S = 693.0
+"""Machine time in s of an undisturbed night, over which the instants of the faults are drawn."""
+LARGEST_DEVIATION_S = 10.0
 BANKS_OF_REGISTER_MAP = (1, 2)
 
 
@@ -64,6 +68,7 @@ def play_share(share: Share) -> tuple[list[NightRecord], float]:
     # What a driver logs of each disturbed frame is not what the trial reports.
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
     began_s = cpu_s()
+    _play_undisturbed()
     nights = [plan_night(share.seed, night) for night in range(share.first, share.end)]
     machine = machine_seed(share.seed, share.first)
     records = play_nights([one for one in nights if not one.link], machine)
@@ -90,7 +95,6 @@ def play_nights(nights: Sequence[PlannedNight], world_seed: int, *, forked: bool
     All must have the same kind of real link. If `forked` is False, `nights` must have one element, which is played in
     this process.
     """
-    duration_s = _undisturbed_duration_s()
     link, bus = nights[0].link, CAN_BUSES[nights[0].night // LINKED_EVERY % len(CAN_BUSES)]
     world = build_world(world_seed, BANKS_OF_REGISTER_MAP) if link else build_world(world_seed)
     records: list[NightRecord] = []
@@ -99,7 +103,7 @@ def play_nights(nights: Sequence[PlannedNight], world_seed: int, *, forked: bool
         def receive(night: PlannedNight, result: Mapping[str, Any]) -> None:
             records.append(received_record(night, result, scene.clock.now()))
 
-        injector = FaultInjector(scene, nights, duration_s, receive, forked, Forks(CHILD_TIMEOUT_S))
+        injector = FaultInjector(scene, nights, UNDISTURBED_S, receive, forked, Forks(CHILD_TIMEOUT_S))
         if forked:  # what is alive stays on pages that the copies share
             gc.collect()
             gc.freeze()
@@ -151,25 +155,22 @@ def judge_night(night: PlannedNight, run: EndedRun, make_rig: MakeRig | None = N
     return record
 
 
-_duration_s: list[float] = []
+@cache
+def _play_undisturbed() -> None:
+    """Play an undisturbed night once in a process, so that all others find its preflight in the cache.
 
-
-def _undisturbed_duration_s() -> float:
-    """Return the machine time in s of an undisturbed night, which is played once in a process.
-
-    The preflight is the same in every night and is computed once, too.
+    Raises RuntimeError if it is not accepted, or has not the duration over which instants are drawn.
     """
-    if not _duration_s:
-        cache_preflight()
-        with _scene(build_world(0)) as (scene, directory):
-            run = _carry_out(FaultInjector(scene, (), 0.0, lambda *_: None), directory)
-            if run.defect is not None:
-                raise run.defect
-            assert run.ended is not None
-            if run.ended.outcome.proof is None or not run.ended.outcome.proof.accepted:
-                raise RuntimeError(f"the undisturbed night was not accepted: {run.ended.outcome.reason}")
-            _duration_s.append(scene.clock.now())
-    return _duration_s[0]
+    cache_preflight()
+    with _scene(build_world(0)) as (scene, directory):
+        run = _carry_out(FaultInjector(scene, (), 0.0, lambda *_: None), directory)
+        if run.defect is not None:
+            raise run.defect
+        assert run.ended is not None
+        if run.ended.outcome.proof is None or not run.ended.outcome.proof.accepted:
+            raise RuntimeError(f"the undisturbed night was not accepted: {run.ended.outcome.reason}")
+        if abs(scene.clock.now() - UNDISTURBED_S) > LARGEST_DEVIATION_S:
+            raise RuntimeError(f"an undisturbed night lasts {scene.clock.now():.0f} s: state that as UNDISTURBED_S")
 
 
 @contextmanager

@@ -85,6 +85,29 @@ class PlannedNight:
         return np.random.default_rng([self.seed, self.night, (0, 1, 4)[fault]])
 
 
+SEEN_BY_PROOF = PlannedNight(3, 557, "wrong bank", 0.59, mornings=("restart, then resume", "restart"))
+"""The controller activates a third bank, reports the one asked for, and does so again when the former one is restored.
+The proof measures that."""
+SEEN_BY_NOBODY = PlannedNight(
+    6,
+    19087,
+    "probe battery",
+    1.0,
+    "activate/active-bank",
+    second=SecondFault("wrong bank", resumed=False, delay_s=0.0, key="restore/activate"),
+    mornings=("give up",),
+)
+"""The restoration is reported wrongly, and nothing is measured after it."""
+NAMED_IN_THE_MORNING = PlannedNight(3, 241, "wrong bank", 1.0, "publish/read-back")
+"""The controller activates a third bank and says so."""
+JUMPED_BEFORE_PROOF = PlannedNight(
+    77, 116, "thermometer wrong", 1.0, "publish/read-back", mornings=("resume", "restart")
+)
+"""All thermometers show -127 °C from the first reading of the proof on."""
+KNOWN_NIGHTS = (SEEN_BY_PROOF, SEEN_BY_NOBODY, NAMED_IN_THE_MORNING, JUMPED_BEFORE_PROOF)
+"""Nights that have once found a defect, as they were drawn then: with a new kind of fault, other nights are drawn."""
+
+
 def plan_night(seed: int, night: int) -> PlannedNight:
     """Return what happens in the night number `night` of the campaign with this seed.
 

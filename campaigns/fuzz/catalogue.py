@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 from campaigns.fuzz.device_decoders import device_decoders
 from campaigns.fuzz.file_decoders import estimate_decoder, file_decoders
-from campaigns.fuzz.journal_decoder import history_decoder, journal_decoder, run_for_journal
+from campaigns.fuzz.journal_decoder import compacted_decoder, history_decoder, journal_decoder, run_for_journal
+from campaigns.fuzz.state_decoders import state_decoders
 from campaigns.fuzz.trial import Decoder
 from campaigns.fuzz.wire_decoders import wire_decoders
 
@@ -16,6 +17,7 @@ def quick_decoders() -> Iterator[Decoder]:
     yield from file_decoders()
     yield from wire_decoders()
     yield from device_decoders()
+    yield from state_decoders()
 
 
 def decoders() -> Iterator[Decoder]:
@@ -24,4 +26,5 @@ def decoders() -> Iterator[Decoder]:
     files = run_for_journal()
     yield estimate_decoder(files.estimate)
     yield history_decoder(files.history)
-    yield journal_decoder(files.journal)
+    yield journal_decoder(files)
+    yield compacted_decoder(files)

@@ -10,6 +10,7 @@ import numpy as np
 
 from agent.files import read_text
 from agent.settings.schema import parse_settings
+from campaigns.fuzz.memory_file import MemoryFile
 from campaigns.fuzz.trial import Decoder
 from campaigns.part_programs.comparison import SETUP, TABLE
 from drivers.errors import InputError
@@ -96,14 +97,8 @@ def _text(name: str, paths: list[Path], parse: Callable[[str], object]) -> Decod
 
 def _decoding(parse: Callable[[str], object]) -> Callable[[bytes], object]:
     """Return a decoder of bytes that reads them from a file as the commands do."""
-
-    def decode(data: bytes) -> object:
-        with TemporaryDirectory(prefix="volcal-fuzz-") as folder:
-            path = Path(folder) / "file"
-            path.write_bytes(data)
-            return parse(read_text(path))
-
-    return decode
+    file = MemoryFile()
+    return lambda data: parse(read_text(file.holding(data)))
 
 
 def _scenario(data: bytes) -> object:

@@ -21,6 +21,7 @@ from agent.history.database_url import DatabaseAddress
 from agent.history.export import as_csv, as_json
 from agent.history.metrics import metrics_text
 from agent.history.overview import alarms_of
+from agent.history.retention import compact
 from agent.history.run_row import machine_name, run_rows
 from agent.history.store import HistoryStore
 from agent.history.sync import sync
@@ -35,12 +36,15 @@ from campaigns.fuzz.trial import Decoder
 from campaigns.resume.case import prepare_case
 from drivers.errors import VolcalError
 from twin.errors import TwinError
+from twin.formats.compressed_text import compress_text, expand_text
 
 
 class RunFiles(NamedTuple):
-    """Files of a short run: its journal and the history as SQLite files, and the text of its estimate file."""
+    """Files of a short run: its journal, the journal with the run compacted, and the history as SQLite files, and the
+    text of its estimate file."""
 
     journal: bytes
+    compacted: bytes
     history: bytes
     estimate: str
 
@@ -51,13 +55,21 @@ def run_for_journal() -> RunFiles:
         settings, machine = prepare_case(Path(folder))
         state = Path(folder) / "state"
         machine.run(settings.model_copy(update={"state_directory": state}))
-        path = state / FILE_NAME
-        with closing(sqlite3.connect(path)) as connection:
-            connection.execute("PRAGMA journal_mode = DELETE")
-            connection.execute("VACUUM")
+        whole = _one_file(state)
         with open_journal(state) as reader:
-            estimate = reader.last_estimate(1)
-        return RunFiles(path.read_bytes(), _history(state), estimate or "")
+            estimate, (row,) = reader.last_estimate(1), reader.runs()
+        history = _history(state)
+        compact(state, row, write=True)
+        return RunFiles(whole, _one_file(state), history, estimate or "")
+
+
+def _one_file(state: Path) -> bytes:
+    """Return the journal as one file, without a write-ahead log and free pages."""
+    path = state / FILE_NAME
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("PRAGMA journal_mode = DELETE")
+        connection.execute("VACUUM")
+    return path.read_bytes()
 
 
 def _history(state: Path) -> bytes:
@@ -73,9 +85,26 @@ def _address(path: Path, machine: str) -> DatabaseAddress:
     return DatabaseAddress(URL.create("sqlite", database=str(path)), machine, timeout_s=1.0)
 
 
-def journal_decoder(journal: bytes) -> Decoder:
+def journal_decoder(files: RunFiles) -> Decoder:
     # One input is read in a dozen ways, and the good one takes half a second.
-    return Decoder("journal (SQLite)", [journal], read_everything, cpu_bound_s=12.0, share=0.1)
+    seeds = [files.journal, files.compacted]
+    return Decoder("journal (SQLite)", seeds, read_everything, cpu_bound_s=12.0, share=0.1)
+
+
+def compacted_decoder(files: RunFiles) -> Decoder:
+    """Return the decoder of the packed rows of a run, whose journal is otherwise good."""
+    with closing(sqlite3.connect(":memory:")) as connection:
+        connection.deserialize(files.compacted)
+        [content] = connection.execute("SELECT content FROM compacted_runs").fetchone()
+
+    def read(data: bytes) -> None:
+        with closing(sqlite3.connect(":memory:")) as journal:
+            journal.deserialize(files.compacted)
+            journal.execute("UPDATE compacted_runs SET content = ?", (compress_text(data),))
+            journal.commit()
+            read_everything(journal.serialize())
+
+    return Decoder("compacted run (JSON)", [expand_text(content)], read, cpu_bound_s=12.0, share=0.1)
 
 
 def history_decoder(history: bytes) -> Decoder:

@@ -77,28 +77,30 @@ def tried(decoder: Decoder, count: int, seed: int, seconds: float = inf) -> Tria
     for good in decoder.seeds:
         decoder.decode(good)
     settled = resident_bytes()
-    for number in range(count):
-        if monotonic() > ends_s:
-            break
-        if number == count // WARM_UP:
-            settled = resident_bytes()
-        data = mutated(random, random.choice(decoder.seeds))
-        began_s = process_time()
-        try:
-            with time_limit(BOUND_S):
+    allowed = decoder.allowed
+    with hang_detection() as time_limit:
+        for number in range(count):
+            if monotonic() > ends_s:
+                break
+            if number == count // WARM_UP:
+                settled = resident_bytes()
+            data = mutated(random, random.choice(decoder.seeds))
+            began_s = process_time()
+            try:
+                time_limit(BOUND_S)
                 decoder.decode(data)
-        except decoder.allowed:
-            result.refused += 1
-        except (Exception, Hang) as error:  # noqa: BLE001  whatever it is, it is the finding
-            place = traceback.extract_tb(error.__traceback__)[-1]
-            told = f"input {number}: {type(error).__name__}: {str(error)[:120]} at {place.filename}:{place.lineno}"
-            result.failures.append(f"{told}; {data[:200]!r}")
-        else:
-            result.read += 1
-        taken_s = process_time() - began_s
-        result.cpu_s += taken_s
-        if taken_s > result.slowest_s:
-            result.slowest_s, result.slowest = taken_s, f"input {number}: {data[:200]!r}"
+            except allowed:
+                result.refused += 1
+            except (Exception, Hang) as error:  # noqa: BLE001  whatever it is, it is the finding
+                place = traceback.extract_tb(error.__traceback__)[-1]
+                told = f"input {number}: {type(error).__name__}: {str(error)[:120]} at {place.filename}:{place.lineno}"
+                result.failures.append(f"{told}; {data[:200]!r}")
+            else:
+                result.read += 1
+            taken_s = process_time() - began_s
+            result.cpu_s += taken_s
+            if taken_s > result.slowest_s:
+                result.slowest_s, result.slowest = taken_s, f"input {number}: {data[:200]!r}"
     result.grown_bytes = resident_bytes() - settled
     return result
 
@@ -117,16 +119,23 @@ def resident_bytes() -> int:
 
 
 @contextmanager
-def time_limit(bound_s: float) -> Iterator[None]:
-    """Raise Hang in the main thread if the `with` block takes longer than `bound_s` of wall time."""
+def hang_detection() -> Iterator[Callable[[float], None]]:
+    """Yield a function `time_limit(bound_s)` for the `with` block. After its call, Hang is raised in the main thread
+    unless it is called again, or the block ends, within `bound_s` of wall time. The handler is installed once, because
+    its installation takes longer than a fast decoder."""
+    bound_s = inf
 
     def ring(_: int, __: FrameType | None) -> None:
         raise Hang(f"longer than {bound_s:g} s")
 
+    def time_limit(seconds: float) -> None:
+        nonlocal bound_s
+        bound_s = seconds
+        signal.setitimer(signal.ITIMER_REAL, seconds)
+
     former = signal.signal(signal.SIGALRM, ring)
-    signal.setitimer(signal.ITIMER_REAL, bound_s)
     try:
-        yield
+        yield time_limit
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, former)

@@ -61,6 +61,8 @@ def wire_decoders() -> Iterator[Decoder]:
     yield Decoder("Modbus answer of a controller", answers[:1], _controller_answer)
     upload = [bytes.fromhex("4b 41 60 00 37 06 00 00")]
     yield Decoder("SDO answer of a drive", upload, _drive_answer)
+    segments = [bytes.fromhex("41 08 10 00 0d 00 00 00 00 61 20 6c 6f 6e 67 20 15 6e 61 6d 65 00 00 00")]
+    yield Decoder("SDO answers in segments", segments, _drive_text)
     requests = [bytes.fromhex("40 41 60 00 00 00 00 00"), bytes.fromhex("2b 41 60 00 37 06 00 00")]
     yield Decoder("SDO request to the simulator", requests, _drive_request)
     yield Decoder(
@@ -175,16 +177,18 @@ def _controller_answer(data: bytes) -> object:
 
 
 class _AnsweringNetwork(canopen.Network):
-    """CAN network whose node answers every SDO request with the same bytes."""
+    """CAN network whose node answers SDO requests with these bytes, eight at a time, and with the last ones again and
+    again."""
 
-    def __init__(self, answer: bytes) -> None:
+    def __init__(self, answers: bytes) -> None:
         super().__init__()
-        self._answer = answer
+        self._answers = [answers[at : at + 8] for at in range(0, max(len(answers), 1), 8)]
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
         del data, remote
         if can_id == 0x600 + NODE:
-            self.notify(0x580 + NODE, bytearray(self._answer[:8]), 0.0)
+            answer = self._answers.pop(0) if len(self._answers) > 1 else self._answers[0]
+            self.notify(0x580 + NODE, bytearray(answer), 0.0)
 
 
 class _NetworkLink:
@@ -212,9 +216,17 @@ class _NetworkLink:
 
 
 def _drive_answer(data: bytes) -> object:
-    link: Any = _NetworkLink(data)
+    return _drive(data[:8]).read(STATUSWORD)
+
+
+def _drive_text(data: bytes) -> object:
+    return _drive(data).read_text(0x1008)
+
+
+def _drive(answers: bytes) -> DriveNode:
+    link: Any = _NetworkLink(answers)
     dictionary = canopen.ObjectDictionary()  # type: ignore[no-untyped-call]
-    return DriveNode(link, NODE, "azimuth", dictionary, sdo_timeout_s=0.01).read(STATUSWORD)
+    return DriveNode(link, NODE, "azimuth", dictionary, sdo_timeout_s=0.01)
 
 
 def _emergency(data: bytes) -> object:

@@ -28,6 +28,11 @@ T = TypeVar("T")
 
 NO_SUCH_OBJECT = (0x0602_0000, 0x0609_0011)
 """SDO abort codes of CiA 301 for an object or a sub-index that does not exist."""
+OUT_OF_MEMORY = 0x0504_0005
+"""SDO abort code of CiA 301 with which a transfer is ended that becomes too long."""
+MAX_UPLOAD_BYTES = 512
+"""Longest content of an object that is read. It is segmented in parts of 7 bytes, of which a node can send any number.
+The names and versions of drives are shorter than 64 bytes."""
 NMT_OPERATIONAL = 0x05
 
 _log = structlog.get_logger("canopen_mount")
@@ -101,13 +106,13 @@ class DriveNode:
     def read_text(self, index: int) -> str:
         """Return the text stored in the object at `index`; an empty string if the node refuses to read it."""
         try:
-            data = self._transfer(f"0x{index:04X}", lambda: self._node.sdo.upload(index, 0))
+            data = self._transfer(f"0x{index:04X}", lambda: self._upload(index, 0))
         except CommandRejected:
             return ""
-        return bytes(data).split(b"\0")[0].decode("ascii", errors="replace").strip()
+        return data.split(b"\0")[0].decode("ascii", errors="replace").strip()
 
     def read_bytes(self, entry: DriveObject) -> bytes:
-        return bytes(self._transfer(str(entry), lambda: self._node.sdo.upload(entry.index, entry.subindex)))
+        return self._transfer(str(entry), lambda: self._upload(entry.index, entry.subindex))
 
     def write(self, entry: DriveObject, value: int) -> None:
         """Write a value to an object of the node.
@@ -178,6 +183,25 @@ class DriveNode:
     def _on_emergency(self, emergency: canopen.emcy.EmcyError) -> None:
         with self._seen:
             self._emergencies.append(int(emergency.code))
+
+    def _upload(self, index: int, subindex: int) -> bytes:
+        """Read an object, which may come in segments. Raises ProtocolError if it has more than MAX_UPLOAD_BYTES bytes.
+
+        A drive may send four bytes for an object that is shorter by its description; the further ones are cut off.
+        """
+        content = b""
+        with self._node.sdo.open(index, subindex, buffering=0) as segments:
+            while segment := bytes(segments.read(1)):
+                content += segment
+                if len(content) > MAX_UPLOAD_BYTES:
+                    self._node.sdo.abort(OUT_OF_MEMORY)
+                    raise ProtocolError(
+                        f"the drive sends more than {MAX_UPLOAD_BYTES} bytes for 0x{index:04X}",
+                        hint="check that the node id belongs to the drive that is configured",
+                        **self.where,
+                    )
+        described = self._node.object_dictionary.get_variable(index, subindex)
+        return content[: len(described) // 8] if described is not None and described.fixed_size else content
 
     def _transfer(self, entry: str, exchange: Callable[[], T]) -> T:
         try:

@@ -140,6 +140,13 @@ def test_what_nothing_could_show_is_counted_with_its_reason_and_must_be_said_in_
     assert summarise([replace(RESTORED, unseen=why)])["cannot_be_seen"] == {}
 
 
+def test_a_table_may_be_worse_only_by_what_wrong_readings_of_a_thermometer_explain() -> None:
+    misled = replace(PROVED, after_um=50.0, misled_um=21.0)
+    assert violations(misled) == {}
+    assert summarise([misled, PROVED])["misled_by_a_thermometer"] == 1
+    assert set(violations(replace(misled, misled_um=19.0))) == {"former table or a proved one"}
+
+
 def test_a_resumed_run_that_confirms_the_active_table_has_ended_well() -> None:
     ended = replace(RESTORED, must_end_well=True, state="complete", journal_state="complete")
     assert violations(replace(ended, reason="confirmed: kept, no gain that can be shown")) == {}
@@ -154,26 +161,20 @@ def test_a_second_fault_is_counted_only_if_it_has_begun() -> None:
     assert summarise([replace(planned, later=replace(planned, second_begun=True))])["with_a_second_fault"] == 1
 
 
-def test_the_proof_shows_that_a_controller_reports_another_bank_than_the_one_that_acts() -> None:
-    """It reports the former bank as active afterwards, too, and a third one acts."""
-    code, result = run_campaign("faults", "--only", "557", "--seed", "3")
-    assert result["by_kind"] == {"wrong bank": 1}
+def test_nights_that_once_found_a_defect_end_as_they_must() -> None:
+    """A controller that activates another bank: seen by the proof, by nobody, and in the morning. A thermometer that
+    fails between the measurement and the proof: the run is resumed once it is in order."""
+    code, result = run_campaign("faults", "--known")
     assert result["violations"] == dict.fromkeys(INVARIANTS, 0)
-    assert (code, result["left_to_a_person"], result["cannot_be_seen"]) == (0, 1, {})
-
-
-def test_a_restoration_after_which_nothing_is_measured_cannot_show_which_bank_acts() -> None:
-    code, result = run_campaign("faults", "--only", "19087", "--seed", "6")
-    assert result["violations"] == dict.fromkeys(INVARIANTS, 0)
-    assert (code, result["with_a_second_fault"], result["left_to_the_morning"]) == (0, 1, 1)
+    assert (code, result["nights"], result["by_kind"]) == (
+        0,
+        4,
+        {"probe battery": 1, "thermometer wrong": 1, "wrong bank": 2},
+    )
+    assert (result["resumed"], result["resumed_to"], result["accepted"]) == (1, {"complete": 1}, 1)
+    assert (result["with_a_second_fault"], result["left_to_the_morning"]) == (1, 3)
+    assert result["left_to_a_person"] == 3
     assert list(result["cannot_be_seen"].values()) == [1]
-
-
-def test_a_controller_that_activates_another_bank_is_named_in_the_morning_too() -> None:
-    code, result = run_campaign("faults", "--only", "241", "--seed", "3")
-    assert result["by_kind"] == {"wrong bank": 1}
-    assert result["violations"] == dict.fromkeys(INVARIANTS, 0)
-    assert (code, result["left_to_a_person"]) == (0, 1)
 
 
 def test_all_kinds_of_fault_occur_and_a_night_is_drawn_the_same_again() -> None:

@@ -24,6 +24,7 @@ from test_whole_run_interrupted import FORMER, Cut, Tripwire, with_device
 from agent.errors import PlanDiverged, PlanRefused, ThermometerFault
 from agent.execution.device_assembly import assemble
 from agent.execution.journal import Journal
+from agent.execution.journal_reader import open_journal
 from agent.execution.rig import Rig
 from agent.execution.run_lock import run_lock
 from agent.execution.run_record import run_ids
@@ -259,6 +260,8 @@ def test_one_wild_reading_of_a_thermometer_is_read_again_and_noted(
     assert note["readings_not_used"] == 2
     used_c = [ball.record["temperature_c"] for ball in run.balls]
     assert max(used_c) - min(used_c) < 1.0
+    with open_journal(STATE) as journal:
+        assert max(row.record["artefact"] for row in journal.temperatures(journal.runs()[-1].run)) < 30.0
 
 
 def test_a_run_whose_thermometer_stays_wild_ends_and_goes_on_when_it_is_put_right(

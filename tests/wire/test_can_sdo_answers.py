@@ -84,3 +84,29 @@ def test_no_answer_raises_anything_but_our_errors(answers: Sequence[bytes]) -> N
                 ask()
             except VolcalError as error:
                 assert isinstance(error, LinkError) or error.where
+
+
+SEGMENTED = bytes.fromhex("41 08 10 00 00 00 00 00")
+"""Answer to the upload of object 0x1008 that announces segments and no size."""
+
+
+def segment(number: int, text: bytes, *, last: bool) -> bytes:
+    return bytes([(number % 2) << 4 | (7 - len(text)) << 1 | last]) + text.ljust(7, b"\0")
+
+
+def test_a_text_in_segments_is_read() -> None:
+    with connected() as (node, peer):
+        peer.answers = [SEGMENTED, segment(0, b"a long ", last=False), segment(1, b"name", last=True)]
+        assert node.read_text(0x1008) == "a long name"
+
+
+def test_a_text_without_an_end_is_an_error_of_the_protocol_after_few_segments() -> None:
+    with connected() as (node, peer):
+        endless = [segment(number, b"endless", last=False) for number in range(1000)]
+        peer.answers = [SEGMENTED, *endless]
+        with pytest.raises(ProtocolError, match="more than 512 bytes") as caught:
+            node.read_text(0x1008)
+        assert len(peer.answers) > 900
+        assert caught.value.where["node"] == "5"
+        peer.answers = [STATUS_ANSWER]
+        assert node.read(STATUSWORD) == 0x0637

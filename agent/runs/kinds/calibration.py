@@ -316,7 +316,9 @@ def written(
         return None
     yield Enter("state/verifying", RunState.VERIFYING)
     order = job.verification_order(measured.standing_at, measured.placed)
-    verified = yield from measure_positions(order, job.layout, ready.rules, measured.mount_poses)
+    verified = yield from measure_positions(
+        order, job.layout, ready.rules, measured.mount_poses, measured.last_conditions
+    )
     yield from note_measured(VERIFIED, verified)
 
     def proof() -> Proof:

@@ -159,7 +159,9 @@ class _Night:
     def measure(self, prefix: str, positions: Sequence[Position], before: MeasuredPositions) -> Plan[MeasuredPositions]:
         """Measure `positions` after those in `before`, and return both together."""
         order = self.task.plan.order(prefix, positions)
-        more = yield from measure_positions(order, self.job.layout, self.ready.rules, before.mount_poses)
+        more = yield from measure_positions(
+            order, self.job.layout, self.ready.rules, before.mount_poses, before.last_conditions
+        )
         return join_measured(before, more)
 
     def judged(self, key: str, measured: MeasuredPositions) -> Plan[Judgement]:

@@ -245,7 +245,9 @@ def _proved(
     if not (yield from _fits(key, position_key(position), proof, left)):
         return (yield from _chosen(running, measured, record, (*left_out, position)))
     order = MeasuringOrder(f"measure-{attempt}", (position,), measured.standing_at, first_number=number)
-    more = yield from measure_positions(order, job.layout, running.ready.rules, measured.mount_poses)
+    more = yield from measure_positions(
+        order, job.layout, running.ready.rules, measured.mount_poses, measured.last_conditions
+    )
     joined = join_measured(measured, more)
     if not more.positions:  # too few balls are within reach, because the mount stands elsewhere than expected
         return (yield from _chosen(running, joined, record, (*left_out, position)))
@@ -309,7 +311,9 @@ def _stopped(running: _Running, measured: MeasuredPositions, record: Mapping[str
     own = with_positions(task.job, positions_in(measured))
     yield known("sequential/job", own)
     order = held_out_order(own, measured.standing_at, number)
-    held_out = yield from measure_positions(order, own.layout, ready.rules, measured.mount_poses)
+    held_out = yield from measure_positions(
+        order, own.layout, ready.rules, measured.mount_poses, measured.last_conditions
+    )
     both = join_measured(measured, held_out)
     own_task, own_ready = replace(task.calibration, job=own), replace(ready, job=own)
     repeats = replace(own.repeat_rules, closing=())

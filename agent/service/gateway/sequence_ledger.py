@@ -58,7 +58,7 @@ class SequenceLedger:
             accepted, content = stored["accepted"], tuple(stored["content"])
             if not (isinstance(accepted, int) and 1 <= accepted <= MAX_SEQUENCE):
                 raise ValueError(f"accepted is {accepted!r}")
-        except (InputError, ValueError, KeyError, TypeError) as error:
+        except (InputError, ValueError, KeyError, TypeError, RecursionError) as error:
             raise ConfigurationError(
                 f"the recorded sequence number of the gateway cannot be read: {error}",
                 hint="check the file, or remove it: every panel must then read accepted_sequence again",

@@ -30,6 +30,7 @@ from agent.service.opcua.companion_types import (
 from drivers.foreign_errors import IN_THE_LOG, cause_of
 
 XML: Final = "{http://opcfoundation.org/UA/2011/03/UANodeSet.xsd}"
+MAX_VERSION: Final = 100
 DOWNLOAD: Final = "the node sets are in the repository UA-Nodeset of the OPC Foundation (docs/reference/opc-ua.md)"
 log = structlog.get_logger()
 
@@ -146,13 +147,16 @@ def _read(path: Path) -> NodeSetFile:
         root = ElementTree.parse(path).getroot()  # noqa: S314  a file that the administrator of this computer chose
     except ElementTree.ParseError as error:
         raise _damaged(path, f"it is not XML in line {error.position[0]}") from error
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, LookupError) as error:  # LookupError: an unknown encoding
         raise _damaged(path, cause_of(error)) from error
     model = root.find(f"{XML}Models/{XML}Model")
     if root.tag != f"{XML}UANodeSet" or model is None:
         raise _damaged(path, "it is not a UANodeSet with a model")
+    version = model.get("Version", "")
+    if len(version) > MAX_VERSION:
+        raise _damaged(path, "the version of its model is too long")
     required = frozenset(one.get("ModelUri", "") for one in model.iterfind(f"{XML}RequiredModel"))
-    return NodeSetFile(path, root, model.get("ModelUri", ""), model.get("Version", ""), required)
+    return NodeSetFile(path, root, model.get("ModelUri", ""), version, required)
 
 
 def _damaged(path: Path, reason: object) -> EndpointUnavailable:

@@ -6,7 +6,7 @@ import logging
 import signal
 import sqlite3
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from random import Random
 from time import process_time
@@ -20,6 +20,7 @@ from campaigns.fuzz.device_decoders import device_decoders
 from campaigns.fuzz.file_decoders import file_decoders
 from campaigns.fuzz.journal_decoder import read_everything
 from campaigns.fuzz.mutation import mutated
+from campaigns.fuzz.state_decoders import state_decoders
 from campaigns.fuzz.trial import LARGEST_GROWTH_BYTES, Decoder, excesses, tried
 from campaigns.fuzz.wire_decoders import wire_decoders
 
@@ -35,12 +36,41 @@ def silent() -> Iterator[None]:
 
 
 @pytest.mark.parametrize(
-    "decoder", [*file_decoders(), *wire_decoders(), *device_decoders()], ids=lambda decoder: decoder.name
+    "decoder",
+    [*file_decoders(), *wire_decoders(), *device_decoders(), *state_decoders()],
+    ids=lambda decoder: decoder.name,
 )
 def test_no_input_raises_anything_outside_the_error_tree(decoder: Decoder) -> None:
     found = tried(decoder, COUNT, SEED)
     assert not found.failures
     assert found.read + found.refused == COUNT
+
+
+NESTED = b"[" * 3000
+NODE_SET_NAMESPACE = b"http://opcfoundation.org/UA/2011/03/UANodeSet.xsd"
+LONG_VERSION = (
+    b'<UANodeSet xmlns="%s"><Models><Model ModelUri="http://opcfoundation.org/UA/DI/" Version="%s"/></Models>'
+    b"</UANodeSet>"
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        ("sequence number of panels (JSON)", NESTED),
+        ("answer of the service (JSON)", NESTED),
+        ("problem told by the service (JSON)", NESTED),
+        ("problem told by the service (JSON)", b'{"where": ["a"]}'),
+        ("problem told by the service (JSON)", b'{"where": {"hint": "a", "message": "b", "self": "c"}}'),
+        ("events of the service", b"event: status\ndata: " + NESTED + b"\n\n"),
+        ("head of an OPC UA node set (XML)", b'<?xml version="1.0" encoding="utf-9"?><UANodeSet/>'),
+        ("head of an OPC UA node set (XML)", LONG_VERSION % (NODE_SET_NAMESPACE, b"1." + b"9" * 5000)),
+    ],
+)
+def test_what_was_once_raised_outside_the_error_tree_is_refused_in_words(name: str, data: bytes) -> None:
+    (decoder,) = (one for one in state_decoders() if one.name == name)
+    with suppress(*decoder.allowed):
+        decoder.decode(data)
 
 
 def test_a_damaged_journal_is_refused_in_words(tmp_path: Path) -> None:

@@ -84,6 +84,20 @@ def test_temperatures_are_minutes_after_the_first_step(state: Path) -> None:
     assert (reading.minutes, reading.record) == (2.0, {"artefact": 20.25})
 
 
+def test_a_rejected_reading_is_a_step_with_its_reason_and_no_temperature_of_the_run(tmp_path: Path) -> None:
+    journal = Journal(tmp_path)
+    run = journal.start_run(FIRST, "calibrate", {}, "1.0", VirtualClock())
+    for key, value in (("a/temperatures", 20.0), ("b/temperatures", 85.0), ("b/read-again-1/temperatures", 20.1)):
+        run.finish(ReadTemperatures(key), {"artefact": value}, begun=False)
+    rejected = {"rejected": "b/temperatures", "reason": "the artefact's temperature jumped"}
+    run.finish(Record("b/rejected", "event", rejected), None, begun=False)
+    journal.close()
+    with open_journal(tmp_path) as reader:
+        assert [one.record["artefact"] for one in reader.temperatures(1)] == [20.0, 20.1]
+        assert [one.result for one in reader.steps(1, "ReadTemperatures")][1] == {"artefact": 85.0}
+        assert [one.record for one in reader.events(1)] == [{"step": "b/rejected", **rejected}]
+
+
 def test_events_and_decisions_by_kind_and_number(state: Path) -> None:
     with open_journal(state) as reader:
         (event,) = reader.events(2, ("state", "fault"))

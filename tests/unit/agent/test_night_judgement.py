@@ -296,7 +296,7 @@ class Night:
         measured = yield from self._measure(plan.order("look", plan.first), None, None, None)
         return PreparedRun(job, found, prepared), measured
 
-    def _measure(self, order: MeasuringOrder, _: Any, __: Any, ___: Any) -> Plan[MeasuredPositions]:
+    def _measure(self, order: MeasuringOrder, _: Any, __: Any, ___: Any, ____: Any = ()) -> Plan[MeasuredPositions]:
         yield Dwell(f"{order.prefix}/measured", 60.0 * self.minutes)
         self.done.append((order.prefix, order.positions))
         return MeasuredPositions((), (order.prefix,), 0, order.standing_at, {})

@@ -100,6 +100,7 @@ def state(tmp_path: Path) -> Path:
     folder.mkdir()
     (folder / "estimate.json").write_text(ESTIMATE, encoding="utf-8")
     (folder / "report.html").write_text("report", encoding="utf-8")
+    (folder / "table.csv").write_text("table", encoding="utf-8")
     return directory
 
 
@@ -156,11 +157,12 @@ def test_a_compacted_run_reads_as_before(state: Path) -> None:
 def test_the_files_of_a_compacted_run_are_read_by_their_former_names(state: Path) -> None:
     compact_due(state)
     folder = state / run_id(0)
-    assert sorted(path.name for path in folder.iterdir()) == ["estimate.json.gz", "report.html"]
+    assert sorted(path.name for path in folder.iterdir()) == ["estimate.json.gz", "report.html", "table.csv"]
+    assert [(folder / name).read_text() for name in ("report.html", "table.csv")] == ["report", "table"]
     assert read_text(folder / "estimate.json") == read_text(folder / "estimate.json.gz") == ESTIMATE
     assert gzip.decompress((folder / "estimate.json.gz").read_bytes()).decode() == ESTIMATE
     with pytest.raises(InputError, match="no such file"):
-        read_text(folder / "table.csv")
+        read_text(folder / "balls.csv")
 
 
 def test_a_copy_of_a_journal_with_compacted_runs_reads_the_same(state: Path, tmp_path: Path) -> None:
@@ -451,7 +453,7 @@ def test_a_leftover_of_an_interrupted_compaction_is_removed(state: Path) -> None
     (folder / "estimate.json.gz").write_bytes(compress_text(b"half"))
     assert read_text(folder / "estimate.json") == ESTIMATE
     compact_due(state)
-    assert sorted(path.name for path in folder.iterdir()) == ["estimate.json.gz", "report.html"]
+    assert sorted(path.name for path in folder.iterdir()) == ["estimate.json.gz", "report.html", "table.csv"]
     assert read_text(folder / "estimate.json") == ESTIMATE
 
 

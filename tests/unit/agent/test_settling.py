@@ -82,7 +82,10 @@ def test_a_reading_in_doubt_is_replaced_by_one_that_agrees_with_the_former_and_n
 ) -> None:
     seen, found = played(read_conditions("b", RULES, Conditions(-10.0, 20.2)), wild_until(end_s, wild_c))
     assert found == Conditions(5.0 * not_used, 20.3)
-    [note] = [dict(step.payload) for step in seen if isinstance(step, s.Record)]
+    *rejected, note = [dict(step.payload) for step in seen if isinstance(step, s.Record)]
+    read = [step.key for step in seen if isinstance(step, s.ReadTemperatures)]
+    assert [one["rejected"] for one in rejected] == read[:-1]
+    assert all(one["reason"] in note["note"] for one in rejected[:1])
     assert note["readings_not_used"] == not_used
     assert ("no reading of artefact" if wild_c is None else f"to {wild_c:.2f} °C") in note["note"]
     assert len({step.key for step in seen}) == len(seen)
