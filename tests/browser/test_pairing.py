@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+from accessibility import violations
 from panel_pages import at_rest, opened, with_token
 from playwright.sync_api import Browser, Page, ViewportSize, expect
 from service_process import Service
@@ -118,6 +119,7 @@ def test_the_owner_of_the_machine_pairs_a_device_from_the_page(chromium: Browser
         )
         assert page.evaluate("document.querySelector('dialog img').naturalWidth") > 200
         fits(page)
+        assert violations(page) == []
         code = page.locator("#invitation-code").inner_text().replace(" ", "")
         with house.client() as tablet:
             paired = tablet.post("/api/pair", json={"code": code}).json()

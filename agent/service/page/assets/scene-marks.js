@@ -4,17 +4,20 @@ import { number } from "./language.js";
 /* globals ring, disc, line, between */
 const LEAST_PX = 3.5, MARK_PX = 6, NEXT_PX = 9, FAINT = 0.4;
 
-/* Those of other positions than `current` are faint, as their bodies are. */
+/* Those of other positions than `current` are faint, as their bodies are. Returns the states that were met. */
 export function markBalls(context, onScreen, stateOf, current, colours) {
+  const met = new Set();
   for (const { x, y, size, ball, placing } of onScreen) {
     context.globalAlpha = placing === current ? 1 : FAINT;
     const state = stateOf(placing, ball);
+    met.add(state);
     if (state === "measured") disc(context, x, y, Math.max(LEAST_PX, size), colours.go);
     else if (state === "lost") cross(context, x, y, Math.max(MARK_PX, size), colours.red);
     else if (state === "rejected") diamond(context, x, y, Math.max(MARK_PX, size) + 2, colours.wait);
     else if (state === "next") ring(context, x, y, Math.max(NEXT_PX, size + 5), colours.pathNow, 3.5);
   }
   context.globalAlpha = 1;
+  return met;
 }
 
 function cross(context, x, y, size, colour) {

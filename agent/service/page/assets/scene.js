@@ -14,7 +14,8 @@ import { onTheme } from "./theme.js";
 const COLOURS = ["paper", "ink", "quiet", "red", "steel", "ram", "probe", "table", "path", "path-now", "go", "wait", "accent"];
 const VIEWS = ["isometric", "xy", "xz", "yz"], BALLS = ["measured", "next", "rejected", "lost", "unreached"];
 const PREPARING = ["preflight", "resuming"];
-const ZOOM = 1.3;
+const ALWAYS_TOLD = new Set(["measured", "next"]);
+const ZOOM = 1.3, BESIDE_PX = 8;
 
 export function openScene(stage) {
   const canvas = make("canvas", { role: "img", tabIndex: 0 });
@@ -25,14 +26,14 @@ export function openScene(stage) {
   const text = make("p", { className: "unseen", id: "scene-text" });
   canvas.setAttribute("aria-describedby", text.id);
   stage.replaceChildren(canvas, legend, turns, axes, note, text);
-  const view = new View(canvas, { note, axes, text });
+  const view = new View(canvas, { note, axes, text, legend, turns });
   const name = () => {
     canvas.setAttribute("aria-label", say("scene.name"));
-    legend.replaceChildren(...BALLS.map((kind) => make("span", { className: kind }, say(`scene.${kind}`))));
+    legend.replaceChildren(...BALLS.map((kind) => make("span", { className: kind, hidden: !ALWAYS_TOLD.has(kind) }, say(`scene.${kind}`))));
     turns.replaceChildren(...VIEWS.map((from) => make("button", { onclick: () => view.look(from) }, say(`scene.from_${from}`))),
       make("button", { onclick: () => view.closer(), ariaPressed: String(view.near), id: "closer" }, say("scene.closer")),
       ...[["+", ZOOM, "in"], ["−", 1 / ZOOM, "out"]].map(([sign, factor, key]) =>
-        make("button", { onclick: () => view.zoom(factor), ariaLabel: say(`scene.zoom_${key}`), title: say(`scene.zoom_${key}`) }, sign)));
+        make("button", { className: "zoom", onclick: () => view.zoom(factor), ariaLabel: say(`scene.zoom_${key}`), title: say(`scene.zoom_${key}`) }, sign)));
     view.showMessage();
     view.show();
   };
@@ -54,7 +55,7 @@ class View {
     this.plan = this.machine = null;
     this.message = "";
     this.asked = this.progress = 0;
-    this.near = false;
+    this.near = matchMedia("(max-width: 600px)").matches; // the artefact is small in a small picture of the machine
     listenTo(canvas, this.camera, () => this.show());
   }
 
@@ -127,8 +128,18 @@ class View {
     const drawn = this.plan ?? this.machine;
     if (!drawn) return;
     const visit = this.near && this.plan?.visits[visitOf(this.plan, seen.status?.step)];
-    if (visit) this.camera.fit(visit.placing.bodies.flatMap(({ a, b }) => [a, b]));
-    else this.camera.fit([...boxCorners(drawn.travel), ...boxCorners(drawn.table).filter(([, , z]) => z === drawn.table.high[2])]);
+    if (visit) this.fitInto(visit.placing.bodies.flatMap(({ a, b }) => [a, b]));
+    else this.fitInto([...boxCorners(drawn.travel), ...boxCorners(drawn.table).filter(([, , z]) => z === drawn.table.high[2])]);
+  }
+
+  /* Between the legend with the positions of the axes and the buttons. */
+  fitInto(points) {
+    const { camera, texts: { legend, axes, turns } } = this, { height } = camera;
+    const above = axes.offsetTop + (axes.offsetHeight || legend.offsetHeight) + BESIDE_PX, below = turns.offsetHeight + 2 * BESIDE_PX;
+    camera.height = Math.max(height - above - below, height / 3);
+    camera.fit(points);
+    camera.height = height;
+    camera.shift(0, (above - below) / 2);
   }
 
   resize() {
@@ -170,7 +181,8 @@ class View {
     this.progress = tip ? progressOf(plan, visit, step, tip, this.progress) : plan.visits[visit].first;
     const state = { visit, progress: this.progress, path: false, ahead: tip !== null, probe: tip !== null, tip, others: true };
     const stateOf = ballStates(plan.visits[visit].phase, step);
-    markBalls(context, paint(context, camera, plan, state, colours), stateOf, plan.visits[visit].placing, colours);
+    const met = markBalls(context, paint(context, camera, plan, state, colours), stateOf, plan.visits[visit].placing, colours);
+    for (const entry of texts.legend.children) entry.hidden = !ALWAYS_TOLD.has(entry.className) && !met.has(entry.className);
     if (tip) markAxes(context, camera, plan.travel, tip, axes, colours);
     setText(texts.text, sceneText(plan, visit, stateOf, axes));
   }
