@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from importlib.metadata import version
 from threading import Lock
 
 from agent.history.database_url import database_address
@@ -23,11 +24,13 @@ from agent.settings.schema import Settings
 
 @dataclass(frozen=True, eq=False)
 class MachineTrends:
-    """All runs of `machine` in the history, the oldest run first, and the trends of all their series."""
+    """All runs of `machine` in the history, the oldest run first, and the trends of all their series. `key` stands for
+    the stored runs and the settings from which they were made."""
 
     machine: str
     runs: Sequence[StoredRun]
     trends: tuple[Trend, ...]
+    key: object = None
 
 
 class CachedTrends:
@@ -36,7 +39,6 @@ class CachedTrends:
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._key: object = None
         self._database: object = None
         self._current = MachineTrends("", (), ())
 
@@ -48,6 +50,14 @@ class CachedTrends:
             sync_missing(settings.state_directory, store)
             return self.refreshed(store, settings.history)
 
+    def key(self, settings: Settings) -> object:
+        """Return the key of what `current` would return, without reading the runs. It is the same after a restart.
+        Raises the same errors as `current`.
+        """
+        with closing(HistoryStore(database_address(settings))) as store:
+            sync_missing(settings.state_directory, store)
+            return _key(store, store.digests(store.address.machine), settings.history)
+
     def refreshed(self, store: HistoryStore, settings: HistorySettings) -> MachineTrends:
         """Return the runs of the machine that are stored in `store`, and their trends. The same object is returned as
         long as nothing has changed.
@@ -56,13 +66,20 @@ class CachedTrends:
         database = (store.address.text, machine)
         with self._lock:
             digests = store.digests(machine)
-            key = (database, settings.model_dump_json(), tuple(sorted(digests.items())))
-            if key != self._key:
+            key = _key(store, digests, settings)
+            if key != self._current.key:
                 known = self._current.runs if database == self._database else ()
                 runs = _updated(store, machine, known, digests)
-                self._current = MachineTrends(machine, runs, trends_of(runs, settings))
-                self._key, self._database = key, database
+                self._current = MachineTrends(machine, runs, trends_of(runs, settings), key)
+                self._database = database
             return self._current
+
+
+def _key(store: HistoryStore, digests: Mapping[str, str], settings: HistorySettings) -> object:
+    """Return what stands for the trends: the database, the runs, the settings, and the software that fits them."""
+    address = store.address
+    runs = tuple(sorted(digests.items()))
+    return address.text, address.machine, settings.model_dump_json(), version("volcal"), runs
 
 
 def _updated(

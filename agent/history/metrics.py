@@ -6,14 +6,22 @@ from __future__ import annotations
 
 from collections import Counter as Tally
 from collections.abc import Mapping, Sequence
+from threading import Lock
 
 from prometheus_client import CollectorRegistry, Gauge, generate_latest
 
 from agent.execution.states import FINAL
+from agent.history.cached_trends import CachedTrends
+from agent.history.database_url import database_address
+from agent.history.kept_documents import KeptDocuments
 from agent.history.overview import VOLUMETRIC, alarms_of
 from agent.history.schema import StoredRun, utc_time
 from agent.history.trends import AlarmKind, Trend
+from agent.settings.schema import Settings
 
+FILE_NAME = "metrics.json"
+"""File of the state directory with the metrics of the history."""
+_TEXT = "text"
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 ACCEPTED = "complete"
 
@@ -30,9 +38,40 @@ def metrics_text(
     registry = CollectorRegistry()
     _of_runs(registry, machine, runs)
     _of_trends(registry, machine, trends)
-    for name, value in (live or {}).items():
+    return generate_latest(registry).decode() + live_text(machine, live or {})
+
+
+def live_text(machine: str, live: Mapping[str, float]) -> str:
+    """Return the metrics of the service itself."""
+    registry = CollectorRegistry()
+    for name, value in live.items():
         _gauge(registry, name, f"{name.replace('_', ' ')} of the service").labels(machine).set(value)
     return generate_latest(registry).decode()
+
+
+class CachedMetrics:
+    """Metrics made from the history, which are made again only if it has changed, also over a restart of the service.
+    The cache is safe to use from any thread."""
+
+    def __init__(self) -> None:
+        self._trends = CachedTrends()
+        self._lock = Lock()
+        self._key: object = None
+        self._text: str | None = None
+
+    def text(self, settings: Settings) -> tuple[str, str]:
+        """Return the name of the machine and its metrics without those of the service. Raise LinkLost or
+        ConfigurationError if the history cannot be read."""
+        kept = KeptDocuments(settings.state_directory / FILE_NAME)
+        with self._lock:
+            key = self._trends.key(settings)
+            if key != self._key:
+                self._key, self._text = key, kept.read(key).get(_TEXT)
+            if self._text is None:
+                found = self._trends.current(settings)
+                self._key, self._text = found.key, metrics_text(found.machine, found.runs, found.trends)
+                kept.write(found.key, {_TEXT: self._text})
+            return database_address(settings).machine, self._text
 
 
 def _of_runs(registry: CollectorRegistry, machine: str, runs: Sequence[StoredRun]) -> None:

@@ -75,6 +75,8 @@ class Status:
       completed part, from 0 to 1, and `phase_minutes_left` its remaining time in min, machine time or, in a preflight,
       the time of the computation; None if it is not known.
     - `simulated_steps` is the number of steps that the preflight of the run has simulated so far.
+    - `axis_mm` are the axis positions in mm at the end of the last motion of the run, after a touch those at the trip;
+      None before the first motion and between runs.
     - `source` is the source of the request for the run, and `by` the name of the client that sent it if it is known;
       both are empty after a reset and after a restart of the service.
     - `ve_before_um` and `ve_now_um` are the volumetric errors (VE) without and with the compensation table, according
@@ -113,6 +115,7 @@ class Status:
     simulated_steps: int = 0
     balls: int = 0
     touches: int = 0
+    axis_mm: tuple[float, float, float] | None = None
     ve_before_um: float | None = None
     ve_now_um: float | None = None
     active_bank: int | None = None

@@ -86,7 +86,26 @@ def select_and_compare(page: Page) -> None:
     page.click("#section-reports")
     rows.nth(2).locator("button.plain").click()
     expect(page.locator("#section-map")).to_have_attribute("aria-current", "page")
-    expect(page.locator("#content .planes canvas")).to_have_count(3)
+    select_a_place_of_the_map(page)
+
+
+def select_a_place_of_the_map(page: Page) -> None:
+    maps, values = page.locator("#content .planes canvas"), page.locator("#values")
+    expect(maps).to_have_count(3)
+    expect(values).to_contain_text("Point at a map")
+    maps.nth(1).hover(position={"x": 1.0, "y": 1.0})
+    expect(values).to_contain_text(re.compile(r"X 0 +Y 1,300 +Z 750 mm"))
+    for word in ("before", "after", "standard uncertainty"):
+        expect(values.locator("b", has_text=word)).to_be_visible()
+    maps.nth(1).focus()
+    page.keyboard.press("ArrowRight")
+    expect(values).to_contain_text(re.compile(r"X 83 +Y 1,300"))
+    page.click("#plane-y")
+    expect(page.locator(".slider")).to_contain_text("at Y 650 mm")
+    page.locator("#plane-at").focus()
+    page.keyboard.press("Home")
+    expect(page.locator(".slider")).to_contain_text("at Y 0 mm")
+    expect(page.locator("#content .planes .ends").first).to_contain_text("Z 0 to 1,500 mm")
 
 
 def test_a_calibration_by_hand_a_night_and_a_table_taken_back(page: Page, house: Service) -> None:

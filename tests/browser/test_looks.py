@@ -15,7 +15,7 @@ from agent.language.sentences import catalogue, german
 
 SECTIONS = (
     *("reports", "map", "curves", "compare", "trend", "parameters"),
-    *("design", "tables", "events", "alarms", "temperatures", "plant"),
+    *("design", "tables", "events", "alarms", "temperatures", "settings", "plant"),
 )
 MEASURES = (Path(__file__).parent / "measures.js").read_text()
 INTERACTIVE = {

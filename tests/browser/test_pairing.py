@@ -7,12 +7,14 @@ import re
 from pathlib import Path
 from typing import Any
 
-from panel_pages import at_rest, opened
+from accessibility import violations
+from panel_pages import at_rest, opened, with_token
 from playwright.sync_api import Browser, Page, ViewportSize, expect
 from service_process import Service
 
 MEASURES = (Path(__file__).parent / "measures.js").read_text()
 PHONE = ViewportSize(width=390, height=844)
+PANEL_SMALL = ViewportSize(width=800, height=480)
 
 
 def told(house: Service, *arguments: str) -> dict[str, Any]:
@@ -81,8 +83,11 @@ def test_a_phone_is_paired_and_starts_what_it_may(chromium: Browser, house: Serv
         expect(page.locator("#diagnostics")).to_be_visible()
         assert page.evaluate("location.href") == f"{house.url}/"
         fits(page)
+        page.click("#section-settings")
+        expect(page.locator("#content tbody")).to_contain_text("procedure.position_set")
         page.click("#token")
         fits(page)
+        expect(page.locator("#invite")).to_have_count(0)
         page.keyboard.press("Escape")
 
         # a revoked client is asked for a new code, and one that signs out is unknown at once
@@ -97,3 +102,27 @@ def test_a_phone_is_paired_and_starts_what_it_may(chromium: Browser, house: Serv
         page.click("#leave")
         expect(page.locator("#token")).to_have_text("Pair")
     at_rest(house)
+
+
+def test_the_owner_of_the_machine_pairs_a_device_from_the_page(chromium: Browser, house: Service) -> None:
+    at_rest(house)
+    for page in opened(chromium, house):
+        with_token(page, house)
+        page.reload()
+        page.set_viewport_size(PANEL_SMALL)
+        page.click("#token")
+        page.click("#invite")
+        page.check("input[value=engineer]")
+        page.fill("input[name=name]", "tablet of the hall")
+        fits(page)
+        page.click("dialog button[type=submit]")
+        expect(page.locator("dialog img")).to_have_attribute(
+            "alt", re.compile(rf"{re.escape(house.url)}/#pair=\d{{6}}")
+        )
+        assert page.evaluate("document.querySelector('dialog img').naturalWidth") > 200
+        fits(page)
+        assert violations(page) == []
+        code = page.locator("#invitation-code").inner_text().replace(" ", "")
+        with house.client() as tablet:
+            paired = tablet.post("/api/pair", json={"code": code}).json()
+        assert (paired["role"], paired["name"]) == ("engineer", "tablet of the hall")

@@ -19,7 +19,7 @@ from agent.results.run_verdict import VERDICTS
 
 MEASURES = (Path(__file__).parent / "measures.js").read_text()
 SCREENS = ((390, 844), (800, 480), (768, 1024), (1280, 800), (1920, 1080))
-SECTIONS = 12
+SECTIONS = 13
 
 
 def edges(page: Page, selector: str) -> tuple[float, float]:
@@ -254,6 +254,28 @@ def test_each_phase_has_its_name_progress_and_minutes_under_the_kind_of_run(chro
         expect(page.locator("#phase")).to_have_text("Positionssatz · 0 % · noch 55 min")
         said.update(status(RunState.VERIFYING), phase="verification", phase_fraction=0.5, phase_minutes_left=4.0)
         expect(page.locator("#phase")).to_have_text("Verifizierung · 50 % · noch 4 min")
+
+
+def test_the_picture_follows_the_probe_and_tells_it_in_words(chromium: Browser, house: Service) -> None:
+    picture = "document.querySelector('.stage canvas').toDataURL()"
+    with told(chromium, house) as (page, said):
+        expect(page.locator(".stage-note")).to_have_text("")
+        expect(page.locator("#scene-text")).to_contain_text("not being moved by a run")
+        expect(page.locator("#axes")).to_be_empty()
+        step = "measure/station-1/az45-el0/ball-03/touch-2"
+        said.update(status(RunState.MEASURING), step=step, axis_mm=[912.0, 567.125, 962.5])
+        expect(page.locator("#axes")).to_have_text("X 912.0  Y 567.1  Z 962.5 mm")
+        words = page.locator("#scene-text")
+        expect(words).to_contain_text("station 1, azimuth 45°, elevation 0°. 0 of 11 balls measured")
+        expect(words).to_contain_text("Next: ball 3. X 912.0")
+        before = page.evaluate(picture)
+        said.update(axis_mm=[1912.0, 567.125, 962.5])
+        page.wait_for_function(f"before => {picture} !== before", arg=before)
+        expect(words).to_contain_text("X 1,912.0")
+        far = page.evaluate(picture)
+        page.click("#closer")
+        page.wait_for_function(f"before => {picture} !== before", arg=far)
+        expect(page.locator("#closer")).to_have_attribute("aria-pressed", "true")
 
 
 def test_a_drawn_scene_has_no_message_over_it_while_the_next_plan_is_computed(

@@ -22,6 +22,7 @@ from agent.service.http.app import create_app
 from agent.service.http.app_state import AppState
 from agent.service.http.description import openapi_document
 from agent.service.http.endpoint import HttpServer
+from agent.service.page.static_files import mount_page
 from agent.service.state.event_log import EventLog
 from agent.settings.load import read_settings
 from agent.settings.service import ServiceSettings
@@ -65,7 +66,7 @@ class House:
         unused: Any = None
         state = AppState(self.control, EventLog(), unused, unused, lambda: settings, CASE_STUDY, self.access)
         self.server = HttpServer(ServiceSettings(port=0))
-        self.server.serve(create_app(state))
+        self.server.serve(create_app(state, extensions=[mount_page]))
 
     def client(self, who: str | None) -> Client:
         headers = {} if who is None else {"Authorization": f"Bearer {self.tokens[who]}"}
@@ -141,10 +142,23 @@ def test_what_a_client_may_send_is_told_and_its_name_is_recorded(house: House) -
         assert house.control.asked[-1] == ("abort", "a chip")
 
 
+def test_the_settings_are_shown_to_engineers_without_secrets(house: House) -> None:
+    for who, status in ((None, 401), ("nobody", 403), ("operator", 403), ("engineer", 200)):
+        with house.client(who) as client:
+            answer = client.get("/api/page/settings")
+        assert answer.status_code == status
+    rows = {row["key"]: row for row in answer.json()["rows"]}
+    assert answer.json()["file"] == CASE_STUDY.name
+    assert (rows["tool"]["now"], rows["procedure.touches_per_ball"]["now"]) == ("probe", 5)
+
+
 def test_a_code_becomes_a_token_once_and_neither_is_logged(house: House) -> None:
     with capture_logs() as logs, house.client("machine") as machine, house.client(None) as phone:
         made = machine.post("/api/pairing/code", json={"role": "operator", "name": "phone", "minutes": 2}).json()
         assert (made["role"], made["name"]) == ("operator", "phone")
+        assert made["address"] == f"{house.server.url}/#pair={made['code']}"
+        assert made["picture"].startswith("data:image/svg+xml")
+        assert not made["reachable"]
         paired = phone.post("/api/pair", json={"code": made["code"]}).json()
         assert (paired["role"], paired["name"]) == ("operator", "phone")
         again = phone.post("/api/pair", json={"code": made["code"]})

@@ -9,10 +9,8 @@ import json
 import math
 import sys
 from datetime import datetime
-from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
 import click
 
@@ -24,12 +22,13 @@ if will_run():
     import segno
 
     from agent.cli.printing import columns_table, results_console
+    from agent.service.access.page_address import is_reachable
     from agent.service.client import Client
     from agent.settings.load import read_settings
-    from agent.settings.service import ServiceSettings
 
 ROLES = ("operator", "engineer")
 LONGEST_MINUTES = 60
+SHOWN = ("code", "ends", "role", "name", "address")
 
 
 def _finite(_: click.Context, parameter: click.Parameter, minutes: float) -> float:
@@ -74,31 +73,10 @@ def pair_command(
             _list(client.get("/api/pairing/clients", token=True), as_json=as_json)
         else:
             found = client.post("/api/pairing/code", {"role": role, "name": name, "minutes": minutes})
-            address = page_address(settings.service, client.url, found["code"])
-            _show({**found, "address": address}, reachable=_reachable(address), as_json=as_json)
+            _show({name: found[name] for name in SHOWN}, as_json=as_json)
 
 
-def page_address(service: ServiceSettings, url: str, code: str) -> str:
-    """Return the address of the page with the code in its fragment, which a browser never sends. `url` is the address
-    at which this computer reaches the service; other computers use the first of `service.host_names`."""
-    found = urlsplit(url)
-    if not service.host_names or service.loopback:
-        return f"{url}/#pair={code}"
-    host = service.host_names[0]
-    port = "" if found.port is None else f":{found.port}"  # the usual port of the scheme is not stated
-    return f"{found.scheme}://{f'[{host}]' if ':' in host else host}{port}/#pair={code}"
-
-
-def _reachable(address: str) -> bool:
-    """Return False if only this computer reaches the address."""
-    host = urlsplit(address).hostname or ""
-    try:
-        return not ip_address(host).is_loopback
-    except ValueError:
-        return host != "localhost"
-
-
-def _show(found: dict[str, Any], *, reachable: bool, as_json: bool) -> None:
+def _show(found: dict[str, Any], *, as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(found))
         return
@@ -112,7 +90,7 @@ def _show(found: dict[str, Any], *, reachable: bool, as_json: bool) -> None:
     click.echo(f"valid     until {ends:%H:%M:%S}, for one client")
     click.echo(f"client    {found['name']} ({found['role']})")
     click.echo(f"page      {found['address']}")
-    if not reachable:
+    if not is_reachable(found["address"]):
         click.echo(
             "note: only a browser on this PC reaches this address; other devices need `service.host` and "
             "`service.host_names` in the settings (docs/how-to/pair-a-panel.md)",

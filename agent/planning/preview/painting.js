@@ -1,7 +1,8 @@
 /* Paint the plan: workspace, other positions, path, and in front the selected position. */
 const NEAR_PX = 2;
 
-/* Return the screen position of every ball, for the pointer. */
+/* Return the screen position of every ball, for the pointer. `state.tip` puts the probe elsewhere than at the waypoint
+   `state.progress`; `state.ahead` shows the rest of the path in this position. */
 function paint(ctx, camera, plan, state, colours) {
   ctx.clearRect(0, 0, camera.width, camera.height);
   const visit = plan.visits[state.visit];
@@ -10,9 +11,10 @@ function paint(ctx, camera, plan, state, colours) {
   const others = state.others ? plan.placings.filter((placing) => placing !== visit.placing) : [];
   for (const placing of others) paintGhost(ctx, camera, placing, colours);
   if (state.path) paintPath(ctx, camera, plan.path.tips, 0, Math.min(visit.first, state.progress), colours.path, 0.3);
+  if (state.ahead && !visit.note) paintAhead(ctx, camera, plan.path.tips, state, visit.end - 1, colours);
   const pieces = standingPieces(camera, plan, visit.placing, colours);
   if (state.path && !visit.note) pieces.push(...pathPieces(camera, plan.path.tips, visit.first, state.progress, colours));
-  if (state.probe && !visit.note) pieces.push(...probePieces(camera, plan, state.progress, state.visit, colours));
+  if (state.probe && !visit.note) pieces.push(...probePieces(camera, plan, state.tip ?? plan.path.tips[state.progress], state.visit, colours));
   paintSorted(ctx, pieces);
   const seen = [...others, visit.placing].flatMap((placing) => ballsOnScreen(camera, placing));
   for (const { x, y, size, ball } of seen) if (ball.whyNot) ring(ctx, x, y, Math.max(3.5, size), colours.red);
@@ -79,6 +81,15 @@ function paintPath(ctx, camera, tips, first, last, colour, opacity) {
   ctx.globalAlpha = 1;
 }
 
+/* From the tip to the last waypoint of the visit. */
+function paintAhead(ctx, camera, tips, { progress, tip }, last, colours) {
+  if (last <= progress) return;
+  ctx.setLineDash([6, 5]);
+  if (tip) line(ctx, camera.project(tip), camera.project(tips[progress + 1]), 1, colours.pathNow);
+  paintPath(ctx, camera, tips, progress + 1, last, colours.pathNow, 0.85);
+  ctx.setLineDash([]);
+}
+
 function pathPieces(camera, tips, first, last, colours) {
   const pieces = [];
   let from = tips.length ? camera.project(tips[Math.max(first - 1, 0)]) : null;
@@ -107,8 +118,7 @@ function standingPieces(camera, plan, placing, colours) {
   });
 }
 
-function probePieces(camera, plan, progress, visit, colours) {
-  const tip = plan.path.tips[progress];
+function probePieces(camera, plan, tip, visit, colours) {
   const hit = plan.refusal && plan.refusal.visit === visit ? plan.refusal.bodies : [];
   const pieces = plan.probe.flatMap((body) => {
     const colour = hit.includes(body.name) ? colours.red : body.box ? colours.ram : colours.probe;

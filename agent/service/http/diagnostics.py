@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import platform
-import re
 import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
@@ -25,11 +24,10 @@ from agent.service.http.app_state import AppStateDependency
 from agent.service.http.permission import permitted
 from agent.service.http.problems import DOCUMENTED
 from agent.service.http.queries import status_now
+from agent.settings.listing import without_secrets
 from agent.settings.schema import Settings
 
 router = APIRouter(prefix="/api", tags=["reading"], responses=DOCUMENTED, dependencies=[permitted(DIAGNOSTICS)])
-REMOVED = "(removed)"
-_SECRET = re.compile(r"pass|secret|token|credential|private|api_?key|pin$|user", re.IGNORECASE)
 
 
 @router.get("/diagnostics", response_class=Response)
@@ -40,21 +38,6 @@ def diagnostics(app_state: AppStateDependency) -> Response:
     content = diagnostics_zip(app_state.settings(), status_now(app_state).model_dump(mode="json"), events)
     headers = {"Content-Disposition": 'attachment; filename="volcal-diagnostics.zip"'}
     return Response(content, media_type="application/zip", headers=headers)
-
-
-def without_secrets(document: Any) -> Any:
-    """Return a copy of a document in which a value is replaced by a marker if its key suggests a secret.
-
-    Values at any depth of the document are checked.
-    """
-    if isinstance(document, Mapping):
-        return {
-            key: REMOVED if _SECRET.search(str(key)) and value is not None else without_secrets(value)
-            for key, value in document.items()
-        }
-    if isinstance(document, list):
-        return [without_secrets(part) for part in document]
-    return document
 
 
 def diagnostics_zip(settings: Settings, status: Mapping[str, Any], events: Sequence[Event]) -> bytes:

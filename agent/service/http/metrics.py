@@ -15,7 +15,7 @@ from agent.service.control import Status
 from agent.service.http.app_state import AppState
 
 if TYPE_CHECKING:
-    from agent.history.cached_trends import CachedTrends
+    from agent.history.metrics import CachedMetrics
 
 PATH = "/metrics"
 
@@ -23,21 +23,21 @@ PATH = "/metrics"
 def mount_metrics(app: FastAPI, app_state: AppState) -> None:
     """Add the route `/metrics` to the application. This function has the type `agent.service.http.app.Extension`. The
     client of the history database is imported only at the first request."""
-    cached_trends = cache(_cached_trends)
+    cached_metrics = cache(_cached_metrics)
 
     @app.get(PATH, include_in_schema=False)
     def metrics() -> Response:
-        from agent.history.metrics import CONTENT_TYPE, metrics_text  # noqa: PLC0415
+        from agent.history.metrics import CONTENT_TYPE, live_text  # noqa: PLC0415
 
-        found = cached_trends().current(app_state.settings())
-        text = metrics_text(found.machine, found.runs, found.trends, live_gauges(app_state.control.status()))
-        return Response(text, media_type=CONTENT_TYPE)
+        machine, text = cached_metrics().text(app_state.settings())
+        live = live_text(machine, live_gauges(app_state.control.status()))
+        return Response(text + live, media_type=CONTENT_TYPE)
 
 
-def _cached_trends() -> CachedTrends:
-    from agent.history.cached_trends import CachedTrends  # noqa: PLC0415
+def _cached_metrics() -> CachedMetrics:
+    from agent.history.metrics import CachedMetrics  # noqa: PLC0415
 
-    return CachedTrends()
+    return CachedMetrics()
 
 
 def live_gauges(status: Status) -> dict[str, float]:

@@ -74,12 +74,16 @@ class RevokeBody(RequestBody):
 
 
 class PairingCode(BaseModel):
-    """Code that a client can exchange for a token of its own until `ends` (UTC)."""
+    """Code that a client can exchange for a token of its own until `ends` (UTC). `address` is the page with the code,
+    `picture` its QR code (data URI of an SVG), and `reachable` is false if only this computer reaches the address."""
 
     code: str
     ends: str
     role: Role
     name: str
+    address: str
+    picture: str
+    reachable: bool
 
 
 class AccessView(BaseModel):
@@ -219,6 +223,7 @@ class StatusView(BaseModel):
     simulated_steps: int
     balls: int
     touches: int
+    axis_mm: tuple[float, float, float] | None
     ve_before_um: float | None
     ve_now_um: float | None
     active_bank: int | None

@@ -7,8 +7,9 @@ import math
 from datetime import UTC, datetime, timedelta
 from http import HTTPStatus
 
-from fastapi import APIRouter, Depends
+from fastapi import APIRouter, Depends, Request
 
+from agent.service.access.page_address import is_reachable, page_address, qr_picture
 from agent.service.access.pairing_codes import TooManyTries, WrongCode
 from agent.service.access.roles import Requester
 from agent.service.http.app_state import AppStateDependency
@@ -54,12 +55,21 @@ def access(client: AnyRequester) -> AccessView:
 
 
 @of_machine.post("/code")
-def code(app_state: AppStateDependency, body: PairingCodeBody | None = None) -> PairingCode:
+def code(app_state: AppStateDependency, request: Request, body: PairingCodeBody | None = None) -> PairingCode:
     """Make a pairing code. A former code is void from now on. The request requires the token of the machine."""
     asked = body or PairingCodeBody()
     ends = datetime.now(UTC) + timedelta(minutes=asked.minutes)
     digits, invitation = app_state.access.invite(asked.role, asked.name, asked.minutes)
-    return PairingCode(code=digits, ends=f"{ends:%Y-%m-%dT%H:%M:%S}Z", role=invitation.role, name=invitation.name)
+    address = page_address(app_state.settings().service, str(request.base_url), digits)
+    return PairingCode(
+        code=digits,
+        ends=f"{ends:%Y-%m-%dT%H:%M:%S}Z",
+        role=invitation.role,
+        name=invitation.name,
+        address=address,
+        picture=qr_picture(address),
+        reachable=is_reachable(address),
+    )
 
 
 @of_machine.get("/clients")

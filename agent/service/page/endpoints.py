@@ -19,7 +19,9 @@ from agent.reports.run_comparison import compare_runs
 from agent.runs.kinds.calibrate import calibration_of
 from agent.runs.kinds.restoration import TableRole, stored_table
 from agent.runs.last_latencies import prepare_next_job
+from agent.service.access.roles import CHECK_SETTINGS
 from agent.service.http.app_state import AppStateDependency
+from agent.service.http.permission import permitted
 from agent.service.http.problems import DOCUMENTED
 from agent.service.page.result_cache import ResultCache, comparison_document
 
@@ -33,6 +35,7 @@ from agent.planning.planning_options import planning_options
 from agent.planning.run_minutes import run_minutes
 from agent.results.table_difference import table_difference
 from agent.results.table_image import table_of
+from agent.settings.listing import setting_rows
 from drivers.errors import ConfigurationError, InputError
 from drivers.roles import TableImage
 from twin.arrays import Array
@@ -59,10 +62,16 @@ def page_router() -> APIRouter:
         """Return the error functions with standard uncertainties, the cross-effect and the squareness errors."""
         return results.curves(app_state.archive.directory, run_id)
 
-    @router.get("/runs/{run_id}/map")
-    def error_map(app_state: AppStateDependency, run_id: str) -> Document:
-        """Return the deviation and its uncertainty, both in µm, on planes of the workspace."""
-        return results.maps(app_state.archive.directory, run_id)
+    @router.get("/runs/{run_id}/plane")
+    def error_plane(
+        app_state: AppStateDependency,
+        run_id: str,
+        normal: Literal["x", "y", "z"] = "z",
+        at: Annotated[float | None, Query(allow_inf_nan=False)] = None,
+    ) -> Document:
+        """Return the deviation without and with the table of the run, and its uncertainty, in µm on a plane of the
+        workspace. `normal` is the axis across the plane and `at` the position on it in mm, by default the middle."""
+        return results.plane(app_state.archive.directory, run_id, normal, at)
 
     @router.get("/runs/{run_id}/report.{form}")
     def report(
@@ -84,6 +93,13 @@ def page_router() -> APIRouter:
     def worth(app_state: AppStateDependency) -> Document:
         """Return the position set of the settings, its expected benefit, and the loss if each position were omitted."""
         return set_values.document(prepare_next_job(app_state.settings(), app_state.config.parent))
+
+    @router.get("/settings", dependencies=[permitted(CHECK_SETTINGS)])
+    def settings(app_state: AppStateDependency, run: RunId | None = None) -> Document:
+        """Return the settings that the service has read, and those of a run beside them, without secrets."""
+        in_run = None if run is None else app_state.archive.settings(run)
+        rows = setting_rows(app_state.settings(), in_run)
+        return {"file": app_state.config.name, "run_id": run, "rows": [vars(row) for row in rows]}
 
     @router.get("/tables/{run_id}/{role}.csv")
     def table(app_state: AppStateDependency, run_id: str, role: TableRole) -> Response:

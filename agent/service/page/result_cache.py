@@ -13,15 +13,19 @@ import numpy as np
 from agent.execution.run_record import read_record
 from agent.reports.page import IdentificationData, ReportData
 from agent.reports.page.error_curves import SQUARENESSES, ErrorCurve, cross_effect_curves, geometric_error_curves
-from agent.reports.page.workspace_maps import PlaneMap, workspace_maps
+from agent.reports.page.error_field import ErrorField, FieldPlane
 from agent.reports.run_comparison import ErrorComparison, PlaneDifference, RunComparison, table_planes
 from agent.reports.run_report import report_of
 from agent.results.table_difference import TableDifference
+from agent.results.table_image import table_of
+from agent.runs.kinds.restoration import stored_table
 from drivers.errors import InputError
 from twin.arrays import Array
+from twin.machine.kinematic_chain import AXES
 
 Document = dict[str, Any]
 MAX_CACHED = 16
+MAX_FIELDS = 4
 
 
 class ResultCache:
@@ -30,15 +34,47 @@ class ResultCache:
     def __init__(self) -> None:
         self._lock = Lock()
         self._cached: dict[tuple[str, str, str], Document] = {}
+        self._fields: dict[tuple[str, str], tuple[IdentificationData, ErrorField]] = {}
 
     def curves(self, directory: Path, run_id: str) -> Document:
         """Return the curves of the geometric errors of a run. Raise InputError if the run has no estimate."""
         return self._of("curves", directory, run_id, _curves)
 
-    def maps(self, directory: Path, run_id: str) -> Document:
-        """Return the maps of the deviation and of its uncertainty for a run. Raise InputError if the run has no
-        estimate."""
-        return self._of("maps", directory, run_id, _maps)
+    def plane(self, directory: Path, run_id: str, normal: str, at_mm: float | None) -> Document:
+        """Return the error field on a plane, without and with the table of the run. `normal` is the axis X, Y or Z, and
+        `at_mm` the position on it, by default the middle of the travel. Raise InputError if the run has no estimate.
+        """
+        identification, field = self._field_of(directory, run_id)
+        axis = AXES.index(normal.upper())
+        low, high = field.ranges_mm[axis]
+        with self._lock:  # a field computes its parts when they are first asked for
+            plane = field.plane(axis, (low + high) / 2 if at_mm is None else at_mm)
+            largest_um = field.largest_um
+        summary = identification.volumetric
+        return {
+            **_plane_document(plane, field),
+            "largest_um": largest_um,
+            "before": vars(summary.before_aligned),
+            "after": vars(summary.after_aligned),
+        }
+
+    def _field_of(self, directory: Path, run_id: str) -> tuple[IdentificationData, ErrorField]:
+        key = (str(directory), run_id)
+        with self._lock:
+            if key not in self._fields:
+                record = read_record(directory, run_id)
+                data = report_of(record)
+                identified = _identified(data, run_id)
+                offset = np.asarray(data.tool_offset)
+                image = None if record.table("staged") is None else stored_table(directory, run_id, "staged")
+                table = None if image is None else table_of(image, offset)
+                field = ErrorField(identified.estimate, offset, identified.observations.axis_positions, table)
+                if record.ended is None:
+                    return identified, field
+                self._fields[key] = (identified, field)
+                while len(self._fields) > MAX_FIELDS:
+                    self._fields.pop(next(iter(self._fields)))
+            return self._fields[key]
 
     def _of(
         self, what: str, directory: Path, run_id: str, make: Callable[[ReportData, IdentificationData], Document]
@@ -52,11 +88,7 @@ class ResultCache:
             if key not in self._cached:
                 record = read_record(directory, run_id)
                 data = report_of(record)
-                if data.identification is None:
-                    raise InputError(
-                        f"run {run_id} has no estimate", hint="the run ended before the errors were identified"
-                    )
-                document = make(data, data.identification)
+                document = make(data, _identified(data, run_id))
                 if record.ended is None:
                     return document
                 self._cached[key] = document
@@ -123,28 +155,30 @@ def _squareness(identification: IdentificationData) -> list[Document]:
     return rows
 
 
-def _maps(data: ReportData, identification: IdentificationData) -> Document:
-    maps = workspace_maps(
-        identification.estimate, np.asarray(data.tool_offset), identification.observations.axis_positions
-    )
-    summary = identification.volumetric
-    return {
-        "deviation": [_plane(plane) for plane in maps.deviation],
-        "uncertainty": [_plane(plane) for plane in maps.uncertainty],
-        "before": vars(summary.before_aligned),
-        "after": vars(summary.after_aligned),
-    }
+def _plane_document(plane: FieldPlane, field: ErrorField) -> Document:
+    """Return a plane of the error field. Each list of rows has one row per position along the second axis of `across`;
+    a row contains the values at all positions along the first one."""
 
+    def rows(values: Array) -> list[Any]:
+        found: list[Any] = np.round(values.swapaxes(0, 1), 2).tolist()
+        return found
 
-def _plane(plane: PlaneMap) -> Document:
-    """Return the map of one plane. `length_um` has one row per y; the row contains the values at all x."""
     return {
-        "z_mm": plane.z_mm,
-        "x_mm": [float(plane.x_mm[0]), float(plane.x_mm[-1])],
-        "y_mm": [float(plane.y_mm[0]), float(plane.y_mm[-1])],
-        "length_um": [_rounded(row, 3) for row in plane.length_um.T],
+        "normal": AXES[plane.normal],
+        "at_mm": plane.at_mm,
+        "across": [AXES[axis] for axis in plane.across],
+        "ranges_mm": dict(zip(AXES, field.ranges_mm, strict=True)),
+        "without_um": rows(plane.without_um),
+        "with_um": None if plane.with_um is None else rows(plane.with_um),
+        "sigma_um": rows(plane.sigma_um),
         "measured": [_rounded(point, 1) for point in plane.measured],
     }
+
+
+def _identified(data: ReportData, run_id: str) -> IdentificationData:
+    if data.identification is None:
+        raise InputError(f"run {run_id} has no estimate", hint="the run ended before the errors were identified")
+    return data.identification
 
 
 def _rounded(values: Array, digits: int) -> list[float]:

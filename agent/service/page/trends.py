@@ -9,6 +9,7 @@ from typing import Any
 
 from agent.execution.states import RunState
 from agent.history.cached_trends import CachedTrends, MachineTrends
+from agent.history.kept_documents import KeptDocuments
 from agent.history.overview import VOLUMETRIC, alarms_of
 from agent.history.schema import StoredRun
 from agent.history.series import CHANGED_MACHINE, Series, nights_of
@@ -18,15 +19,20 @@ from agent.settings.schema import Settings
 Document = dict[str, Any]
 
 
+FILE_NAME = "trends.json"
+"""File of the state directory with the documents of the trends."""
+_OVERVIEW = "overview"
+
+
 class TrendCache:
-    """Cache of the documents of the trends. A document is made again only if its trends have been fitted again. The
-    cache is safe to use from any thread."""
+    """Cache of the documents of the trends, also over a restart. A document is made again only if runs in
+    the history or the settings of the history have changed. The cache is safe to use from any thread."""
 
     def __init__(self) -> None:
         self._trends = CachedTrends()
         self._lock = Lock()
-        self._made_of: MachineTrends | None = None
-        self._documents: dict[str | None, Document] = {}
+        self._key: object = None
+        self._documents: dict[str, Document] = {}
 
     def document(self, settings: Settings, of: str | None) -> Document:
         """Return the trends of all parameters of the geometric error `of`. If `of` is None, return the trends of the
@@ -34,13 +40,18 @@ class TrendCache:
 
         Raise LinkLost or ConfigurationError if the history cannot be read.
         """
-        current = self._trends.current(settings)
+        name, kept = of or _OVERVIEW, KeptDocuments(settings.state_directory / FILE_NAME)
         with self._lock:
-            if current is not self._made_of:
-                self._made_of, self._documents = current, {}
-            if of not in self._documents:
-                self._documents[of] = _document(current, of)
-            return self._documents[of]
+            key = self._trends.key(settings)
+            if key != self._key:
+                self._key, self._documents = key, kept.read(key)
+            if name not in self._documents:
+                current = self._trends.current(settings)
+                if current.key != self._key:  # another run has been stored in between
+                    self._key, self._documents = current.key, {}
+                self._documents[name] = _document(current, of)
+                kept.write(self._key, self._documents)
+            return self._documents[name]
 
 
 def _document(current: MachineTrends, of: str | None) -> Document:

@@ -68,6 +68,12 @@ class Archive:
                 "accepted": any(one.kind == "accepted" for one in decisions),
             }
 
+    def settings(self, run_id: str) -> Document:
+        """Return the settings with which a run was started. Raise UnknownRun if the journal does not have the run."""
+        with self._reading() as reader:
+            settings: Document = stored_json(reader.settings_text(_run(reader, run_id).run))
+            return settings
+
     def balls(self, run_id: str) -> list[Document]:
         """Return the records of the measured balls of a run, in the order of measurement."""
         with self._reading() as reader:

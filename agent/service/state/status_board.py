@@ -13,7 +13,16 @@ import structlog
 
 from agent.execution.run_state import Announcement
 from agent.execution.states import PACKML, RunState
-from agent.execution.steps import ActivateBank, ReadActiveBank, ReadTemperatures, Record, Step, TouchTowards
+from agent.execution.steps import (
+    ActivateBank,
+    MoveTo,
+    ReadActiveBank,
+    ReadTemperatures,
+    Record,
+    Retrace,
+    Step,
+    TouchTowards,
+)
 from agent.notifications.dispatcher import ReceiverState
 from agent.planning.run_phases import HOMING, PREFLIGHT, PROBE_CHECK, QUALIFICATION, REVERSAL, VERIFICATION
 from agent.results.run_outcome import Outcome
@@ -30,6 +39,7 @@ from agent.service.state.event_log import EventLog
 from agent.service.state.idle_alarms import IdleAlarms
 from drivers.clock import RealClock, utc_timestamp
 from drivers.errors import StoreError
+from drivers.roles import Miss, Touch
 
 log = structlog.get_logger()
 S = RunState
@@ -229,6 +239,7 @@ class StatusBoard:
             simulated_steps=0,
             balls=0,
             touches=0,
+            axis_mm=None,
             verdict=None,
             read_problem="",
             alarms=(),
@@ -258,7 +269,10 @@ class StatusBoard:
         now = self._status
         match step:
             case TouchTowards():
-                self._change(step=step.key, touches=now.touches + 1)
+                at = result.position_mm if isinstance(result, (Touch, Miss)) else step.target_mm
+                self._change(step=step.key, touches=now.touches + 1, axis_mm=at)
+            case MoveTo() | Retrace():
+                self._change(step=step.key, axis_mm=step.target_mm)
             case Record():
                 self._on_record(step)
             case ReadTemperatures():
@@ -305,7 +319,8 @@ class StatusBoard:
         former, verdict = self._status.state, self._status.verdict
         if verdict is None and state in AT_REST - {S.IDLE}:  # the run has ended without an outcome
             verdict = verdict_of(self._status.kind or "", state.value, ended=True, accepted=None, decision=None)
-        ended = {**_NO_PHASE, "simulated_steps": 0} if state in AT_REST else {}
+        # at rest, anybody may move the axes
+        ended = {**_NO_PHASE, "simulated_steps": 0, "axis_mm": None} if state in AT_REST else {}
         self._change(state=state, packml=PACKML[state], verdict=verdict, **ended)
         run = {"run_id": self._status.run_id, "kind": self._status.kind}
         self.event_log.publish("state", text, {"state": state.value, "packml": PACKML[state], **run})

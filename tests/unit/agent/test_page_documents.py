@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,10 @@ import pytest
 from journaled import journaled, run_id
 from service_house import settings_document
 
+from agent.history import cached_trends
+from agent.history.metrics import CachedMetrics
+from agent.history.schema import StoredRun
+from agent.history.trends import Trend
 from agent.planning.design.set_valuation import valuation_of
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
@@ -19,6 +24,7 @@ from agent.results.table_difference import table_difference
 from agent.service.page.endpoints import set_value_document, table_csv
 from agent.service.page.result_cache import ResultCache
 from agent.service.page.trends import TrendCache
+from agent.settings.history import HistorySettings
 from agent.settings.schema import Settings
 from drivers.errors import InputError
 from drivers.roles import TableImage
@@ -127,3 +133,34 @@ def test_trends_have_the_line_and_the_band_that_are_drawn(tmp_path: Path) -> Non
     assert whole["runs"][run_id(3)]["started"].startswith("2026-11-04T02:00:00")
     journaled(tmp_path, 10, 8.8, machine="mine")
     assert len(trends.document(settings, "EXX")["trends"][0]["values"]) == 11
+
+
+def test_after_a_restart_nothing_is_fitted_again_until_a_run_or_a_setting_has_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for night in range(3):
+        journaled(tmp_path, night, 4.8, machine="mine")
+    settings = Settings.model_validate(settings_document(tmp_path, history={"machine": "mine"}))
+    made, metrics = TrendCache().document(settings, None), CachedMetrics().text(settings)
+    fitted: list[int] = []
+
+    def trends_of(runs: Sequence[StoredRun], _: HistorySettings) -> tuple[Trend, ...]:
+        fitted.append(len(runs))
+        return ()
+
+    monkeypatch.setattr(cached_trends, "trends_of", trends_of)
+    assert TrendCache().document(settings, None) == made
+    assert CachedMetrics().text(settings) == metrics
+    assert metrics[0] == "mine"
+    assert "volcal_runs{" in metrics[1]
+    assert fitted == []
+    tolerant = Settings.model_validate(settings_document(tmp_path, history={"machine": "mine", "warn_nights": 3.0}))
+    TrendCache().document(tolerant, None)
+    assert fitted == [3]
+    journaled(tmp_path, 3, 4.8, machine="mine")
+    TrendCache().document(settings, None)
+    CachedMetrics().text(settings)
+    assert fitted == [3, 4, 4]
+    (settings.state_directory / "trends.json").write_text("[]")
+    TrendCache().document(settings, None)
+    assert fitted == [3, 4, 4, 4]

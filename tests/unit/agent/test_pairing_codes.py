@@ -9,8 +9,9 @@ from typing import Any
 
 import pytest
 
-from agent.cli.service_commands.pair import page_address, pair_command
+from agent.cli.service_commands.pair import pair_command
 from agent.service.access.access import Access
+from agent.service.access.page_address import page_address
 from agent.service.access.paired_clients import FILE_NAME, MAX_CLIENTS, PairedClients
 from agent.service.access.pairing_codes import (
     MAX_MINUTES,

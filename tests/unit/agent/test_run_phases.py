@@ -11,7 +11,7 @@ from agent.cli.service_commands.status import show
 from agent.execution.journal import Journal
 from agent.execution.run_state import Announcement
 from agent.execution.states import RunState
-from agent.execution.steps import Dwell
+from agent.execution.steps import Dwell, MoveTo, TouchTowards
 from agent.planning.run_phases import (
     HOMING,
     MEASURING,
@@ -29,6 +29,7 @@ from agent.service.daemon.main_loop import status_text
 from agent.service.state.event_log import EventLog
 from agent.service.state.status_board import StatusBoard
 from drivers.clock import VirtualClock
+from drivers.roles import Miss, Touch
 
 PROBE = "probe/station-2/az0-el45"
 TIMELINE = {
@@ -150,3 +151,18 @@ def test_the_command_and_systemd_state_the_phase(capsys: pytest.CaptureFixture[s
     show(vars(board.status()), as_json=False)
     assert "qualification, 40 %, 1 min left" in capsys.readouterr().out
     assert "50 %, 9 min left" in status_text(board.status())
+
+
+def test_the_status_tells_where_the_run_has_led_the_axes() -> None:
+    board = StatusBoard("mill", EventLog(), VirtualClock().now)
+    board.begin_run("run", "calibrate", "page", "S3")
+    told(board, "state", state="measuring")
+    assert board.status().axis_mm is None
+    board.on_step(MoveTo("a", (1.0, 2.0, 3.0)), None)
+    assert board.status().axis_mm == (1.0, 2.0, 3.0)
+    board.on_step(TouchTowards("b", (1.0, 2.0, 0.0), 5.0), Touch((1.0, 2.0, 2.5)))
+    assert board.status().axis_mm == (1.0, 2.0, 2.5)
+    board.on_step(TouchTowards("c", (4.0, 2.0, 0.0), 5.0), Miss((4.0, 2.0, 0.1)))
+    assert board.status().axis_mm == (4.0, 2.0, 0.1)
+    board.enter(RunState.ABORTED, "stopped")  # from now on, anybody may move them
+    assert board.status().axis_mm is None

@@ -32,7 +32,7 @@ from agent.service.client import error_of
 from agent.service.control import Control
 from agent.service.daemon.main_loop import MainLoop
 from agent.service.daemon.sd_notify import Notifier
-from agent.service.http.diagnostics import REMOVED, diagnostics_zip, without_secrets
+from agent.service.http.diagnostics import diagnostics_zip
 from agent.service.http.problems import problem_of
 from agent.service.owner.health import Health
 from agent.service.owner.questions import Questions, ServiceOperator
@@ -42,6 +42,7 @@ from agent.service.owner.unattended import Circumstances, minutes_until_end, req
 from agent.service.state.event_log import EventLog
 from agent.service.state.status_board import doing
 from agent.service.token import make_token, read_token, token_path
+from agent.settings.listing import REMOVED, without_secrets
 from agent.settings.schema import Settings
 from agent.settings.service import ServiceSettings
 from drivers.clock import VirtualClock

@@ -1,7 +1,8 @@
 /* Dialog that asks for a pairing code or, instead, for the token of the machine. */
-import { accessText, leave, learnAccess, pairWith } from "./access.js";
+import { accessText, isEngineer, leave, learnAccess, mayInvite, pairWith } from "./access.js";
 import { asked } from "./dialogs.js";
 import { byId, make } from "./dom.js";
+import { inviteDevice } from "./invite-dialog.js";
 import { known, say } from "./language.js";
 import { keepToken, Refused, token } from "./requests.js";
 
@@ -33,8 +34,14 @@ function signedIn() {
     leave();
     byId("dialog").close();
   };
-  return [make("div", { className: "signed-in" }, make("b", {}, say("access.now", { who })),
-    make("button", { type: "button", id: "leave", onclick: out }, say("access.leave")))];
+  const invite = () => {
+    byId("dialog").addEventListener("close", inviteDevice, { once: true });
+    byId("dialog").close();
+  };
+  const others = mayInvite() ? [make("button", { type: "button", id: "invite", onclick: invite }, say("invite.open"))] : [];
+  return [make("div", { className: "signed-in" }, make("b", {}, say("access.now", { who })), make("div", { className: "acts" }, ...others,
+    make("button", { type: "button", id: "leave", onclick: out }, say("access.leave"))),
+    isEngineer() && !mayInvite() ? make("small", { className: "remark" }, say("invite.needs_machine")) : null)];
 }
 
 /* One of the two is needed: the code unless the field for the token is shown. */

@@ -13,6 +13,10 @@ export const onAccess = (listener) => listeners.add(listener);
 /* Without a token nothing is withheld: the request asks for one. */
 export const permits = (request) => now.may === null || now.may.includes(request);
 
+/* Only the token of the machine, which belongs to nobody in particular, pairs other devices. */
+export const mayInvite = () => now.role !== null && !now.name;
+export const isEngineer = () => now.role === "engineer";
+
 /* Role in words and name, null without a token. */
 export function accessText() {
   if (now.role === null) return null;

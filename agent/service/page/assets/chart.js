@@ -3,10 +3,12 @@ import { draw } from "./dom.js";
 import { number } from "./language.js";
 
 const ROOM = { left: 52, right: 10, top: 24, bottom: 34 };
+const BESIDE_PX = 20, LEAST_PX = 300, NARROW_TICKS = 2; // on a phone, a chart is drawn narrower and not smaller
 const TICKS_X = 5, TICKS_Y = 4, FONT = 12, MOST_DIGITS = 6, SHORT = 6;
 
 /* `x`, `y`: ranges; `nameX`: text of a value on the axis; `draws`: functions that take the scales and return elements. */
-export function chart({ name, title, xLabel, yLabel = "", x, y, width = 520, height = 220, draws = [], room = ROOM, ticksX = TICKS_X, nameX = (value) => figure(value, x) }) {
+export function chart({ name, title, xLabel, yLabel = "", x, y, width: wide = 520, height = 220, draws = [], room = ROOM, ticksX: ticks = TICKS_X, nameX = (value) => figure(value, x) }) {
+  const width = Math.min(wide, Math.max(innerWidth - BESIDE_PX, LEAST_PX)), ticksX = width < wide ? Math.min(ticks, NARROW_TICKS) : ticks;
   const inner = { width: width - room.left - room.right, height: height - room.top - room.bottom };
   const scales = {
     x: (value) => room.left + (inner.width * (value - x[0])) / (x[1] - x[0] || 1),

@@ -23,9 +23,15 @@ addEventListener("keydown", (event) => {
 
 /* Resolves with the form data if confirmed, otherwise with null. */
 export function asked(title, confirm, ...fields) {
+  return opened(title, confirm, make("button", { type: "button", onclick: () => byId("dialog").close() }, say("dialog.cancel")), fields);
+}
+
+/* Shows something that asks for nothing. */
+export const shown = (title, ...fields) => opened(title, say("dialog.close"), null, fields);
+
+function opened(title, confirm, cancel, fields) {
   const dialog = byId("dialog");
   return new Promise((resolve) => {
-    const cancel = make("button", { type: "button", onclick: () => dialog.close() }, say("dialog.cancel"));
     const form = make("form", { method: "dialog" }, make("h2", { id: "dialog-title" }, title), ...fields,
       make("div", { className: "actions" }, cancel, make("button", { type: "submit", className: "go big" }, confirm)));
     let given = null;
@@ -119,5 +125,5 @@ export async function askStart(machine) {
 
 export function showKeys(keys) {
   const rows = keys.map(([key, message]) => make("tr", {}, make("th", {}, make("kbd", {}, key)), make("td", {}, say(message))));
-  return asked(say("keys.title"), say("dialog.close"), make("table", { className: "keys" }, make("tbody", {}, ...rows)));
+  return shown(say("keys.title"), make("table", { className: "keys" }, make("tbody", {}, ...rows)));
 }

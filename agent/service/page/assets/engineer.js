@@ -13,13 +13,14 @@ import * as maps from "./section-map.js";
 import * as parameters from "./section-parameters.js";
 import * as plant from "./section-plant.js";
 import * as reports from "./section-reports.js";
+import * as settings from "./section-settings.js";
 import * as tables from "./section-tables.js";
 import * as temperatures from "./section-temperatures.js";
 import * as trend from "./section-trend.js";
 import { told } from "./sentences.js";
 import { on, seen } from "./store.js";
 
-const SECTIONS = { reports, map: maps, curves, compare: compared, trend, parameters, design, tables, events, alarms, temperatures, plant };
+const SECTIONS = { reports, map: maps, curves, compare: compared, trend, parameters, design, tables, events, alarms, temperatures, settings, plant };
 const RUNS = 50, TRIED = 5;
 
 const now = { section: "map", run: null, older: null, runs: [], asked: 0, shown: false };
@@ -81,6 +82,14 @@ function choose(section, run) {
   return show();
 }
 
+/* On a phone, the list of the sections fills the screen: then what was chosen comes into view. The button keeps the focus. */
+async function enter(name) {
+  await choose(name, now.run);
+  byId(`section-${name}`).focus({ preventScroll: true });
+  const main = document.querySelector("main");
+  if (main.scrollHeight > main.clientHeight) byId("content").closest(".sheet").scrollIntoView();
+}
+
 /* Runs that the section can show: the chosen one, otherwise the latest ones that may have the data it needs. */
 function candidates({ needsEstimate }) {
   if (now.run !== null) return [now.run];
@@ -92,7 +101,10 @@ function candidates({ needsEstimate }) {
 async function partsOf(section) {
   if (!section.ofRun) return { run: null, parts: await section.parts({ runs: now.runs, again: show, open }) };
   const runs = candidates(section);
-  if (!runs.length) return { run: null, parts: [make("p", { className: "remark" }, say("section.no_run"))] };
+  if (!runs.length) {
+    const instead = section.withoutRun ? await section.parts({ run: null, runs: [], again: show, open }) : [make("p", { className: "remark" }, say("section.no_run"))];
+    return { run: null, parts: instead };
+  }
   for (const run of runs) {
     try {
       return { run, parts: await section.parts({ run, runs: now.runs, again: show, open }) };
@@ -105,7 +117,7 @@ async function partsOf(section) {
 async function show({ quiet = false } = {}) {
   const mine = ++now.asked, section = SECTIONS[now.section], content = byId("content");
   byId("sections").replaceChildren(...Object.keys(SECTIONS).map((name) => make("button", {
-    id: `section-${name}`, ariaCurrent: name === now.section ? "page" : "false", onclick: () => choose(name, now.run).then(() => byId(`section-${name}`).focus()),
+    id: `section-${name}`, ariaCurrent: name === now.section ? "page" : "false", onclick: () => enter(name),
   }, say(`section.${name}`))));
   showRuns(section, candidates(section)[0] ?? null);
   if (!quiet) content.replaceChildren(make("p", { className: "remark busy" }, say("section.loading")));

@@ -6,7 +6,14 @@ import { verdictWord } from "./wording.js";
 export function table(heads, rows, kind = "") {
   return make("div", { className: "scroll", role: "group", tabIndex: 0, ariaLabel: say("table.rows") }, make("table", { className: `data ${kind}` },
     make("thead", {}, make("tr", {}, ...heads.map((head) => make("th", { scope: "col" }, head)))),
-    make("tbody", {}, ...rows.map((cells) => make("tr", {}, ...cells.map((cell) => make("td", {}, cell)))))));
+    make("tbody", {}, ...rows.map((cells) => make("tr", {}, ...cells.map((cell, i) => cellOf(cell, heads[i])))))));
+}
+
+/* On a phone, each cell stands in a line of its own behind the name of its column. */
+function cellOf(content, head) {
+  const cell = make("td", {}, make("div", {}, content));
+  cell.dataset.head = head;
+  return cell;
 }
 
 export const heading = (key) => make("h2", {}, say(key));

@@ -27,7 +27,8 @@ function figure(plane, top) {
       make("span", {}, say("map.y", { from: number(y[0], 0), to: number(y[1], 0) }))));
 }
 
-function scale(top) {
+/* The scale of maps from 0 to `top` µm. */
+export function scale(top) {
   const bar = make("canvas", { width: 10 * STOPS, height: 1, ariaHidden: "true" });
   const context = bar.getContext("2d");
   for (let i = 0; i < bar.width; i++) {

@@ -10,6 +10,7 @@ export function openResiduals(section) {
   const title = make("h2"), picture = draw("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img" });
   section.replaceChildren(title, picture);
   const show = () => {
+    section.hidden = !seen.balls.length;
     title.textContent = say("residuals.title");
     picture.setAttribute("aria-label", say("residuals.name", { count: seen.balls.length }));
     picture.replaceChildren(...bars(seen.balls.slice(-SHOWN)));

@@ -1,30 +1,41 @@
-/* Live view: workspace, artefact at its station, balls measured, next and not found. Drawn by the scripts of the preview. */
+/* Live view: workspace, artefact at its station with the state of its balls, probe where the run has led it, and the rest of
+   the path in this position. Drawn by the scripts of the preview, only when something has changed. */
 import { machineOf, paintMachine } from "./bare-machine.js";
 import { make } from "./dom.js";
 import { listenTo } from "./gestures.js";
 import { onLanguage, say } from "./language.js";
 import { read } from "./requests.js";
+import { markAxes, markBalls } from "./scene-marks.js";
+import { axesText, ballStates, progressOf, sceneText, visitOf } from "./scene-state.js";
 import { on, seen } from "./store.js";
 import { onTheme } from "./theme.js";
-import { placeOf } from "./wording.js";
 
-/* globals Camera, readPlan, paint, boxCorners, ring, disc, line */
-const COLOURS = ["paper", "ink", "quiet", "red", "steel", "ram", "probe", "table", "path", "path-now", "go"];
-const VIEWS = ["isometric", "xy", "xz", "yz"];
+/* globals Camera, readPlan, paint, boxCorners, added */
+const COLOURS = ["paper", "ink", "quiet", "red", "steel", "ram", "probe", "table", "path", "path-now", "go", "wait", "accent"];
+const VIEWS = ["isometric", "xy", "xz", "yz"], BALLS = ["measured", "next", "rejected", "lost", "unreached"];
 const PREPARING = ["preflight", "resuming"];
+const ALWAYS_TOLD = new Set(["measured", "next"]);
+const ZOOM = 1.3, BESIDE_PX = 8;
 
 export function openScene(stage) {
   const canvas = make("canvas", { role: "img", tabIndex: 0 });
   const legend = make("div", { className: "legend" });
   const turns = make("div", { className: "turns" });
+  const axes = make("p", { className: "axes", id: "axes" });
   const note = make("p", { className: "stage-note", role: "status" });
-  stage.replaceChildren(canvas, legend, turns, note);
-  const view = new View(canvas, note);
+  const text = make("p", { className: "unseen", id: "scene-text" });
+  canvas.setAttribute("aria-describedby", text.id);
+  stage.replaceChildren(canvas, legend, turns, axes, note, text);
+  const view = new View(canvas, { note, axes, text, legend, turns });
   const name = () => {
     canvas.setAttribute("aria-label", say("scene.name"));
-    legend.replaceChildren(...["measured", "next", "lost"].map((kind) => make("span", { className: kind }, say(`scene.${kind}`))));
-    turns.replaceChildren(...VIEWS.map((from) => make("button", { onclick: () => view.look(from) }, say(`scene.from_${from}`))));
+    legend.replaceChildren(...BALLS.map((kind) => make("span", { className: kind, hidden: !ALWAYS_TOLD.has(kind) }, say(`scene.${kind}`))));
+    turns.replaceChildren(...VIEWS.map((from) => make("button", { onclick: () => view.look(from) }, say(`scene.from_${from}`))),
+      make("button", { onclick: () => view.closer(), ariaPressed: String(view.near), id: "closer" }, say("scene.closer")),
+      ...[["+", ZOOM, "in"], ["−", 1 / ZOOM, "out"]].map(([sign, factor, key]) =>
+        make("button", { className: "zoom", onclick: () => view.zoom(factor), ariaLabel: say(`scene.zoom_${key}`), title: say(`scene.zoom_${key}`) }, sign)));
     view.showMessage();
+    view.show();
   };
   name();
   onLanguage(name);
@@ -36,26 +47,28 @@ export function openScene(stage) {
 }
 
 class View {
-  constructor(canvas, note) {
+  constructor(canvas, texts) {
     this.canvas = canvas;
-    this.note = note;
+    this.texts = texts;
     this.context = canvas.getContext("2d");
     this.camera = new Camera();
     this.plan = this.machine = null;
     this.message = "";
-    this.asked = 0;
+    this.asked = this.progress = 0;
+    this.near = matchMedia("(max-width: 600px)").matches; // the artefact is small in a small picture of the machine
     listenTo(canvas, this.camera, () => this.show());
   }
 
   /* The path of a run is available once its preflight has passed; between runs the path of the next run is shown. */
-  follow({ run_id: run, state, may, step }) {
+  follow({ run_id: run, state, may, step, axis_mm: axes }) {
     const wanted = `${may.includes("start") || PREPARING.includes(state) ? "next" : run} ${PREPARING.includes(state)}`;
     if (wanted !== this.wanted) {
       this.wanted = wanted;
       this.load();
     }
-    if (step !== this.step) this.show();
-    this.step = step;
+    const shown = `${step} ${axes}`;
+    if (shown !== this.shown) this.show();
+    this.shown = shown;
   }
 
   /* Only the response to the latest request is used: a late one must not show an outdated plan. Until it is there, the
@@ -63,12 +76,12 @@ class View {
   async load() {
     const mine = ++this.asked;
     try {
-      if (!this.plan) await this.drawMachine();
+      if (!this.machine) await this.drawMachine();
       if (!this.plan) this.showMessage("scene.computing");
       const plan = readPlan(JSON.stringify(await read("/api/plan")));
       if (mine !== this.asked) return;
       const first = this.plan === null;
-      this.plan = plan;
+      Object.assign(this, { plan, progress: 0 });
       this.showMessage("");
       if (first) this.fit();
     } catch {
@@ -80,14 +93,16 @@ class View {
   }
 
   async drawMachine() {
-    this.machine = machineOf(await read("/api/machine"));
+    const found = await read("/api/machine");
+    this.offset = found.tool_offset_mm;
+    this.machine = machineOf(found);
     this.fit();
     this.show();
   }
 
   showMessage(message = this.message) {
     this.message = message;
-    this.note.textContent = message ? say(message) : "";
+    this.texts.note.textContent = message ? say(message) : "";
   }
 
   look(name) {
@@ -96,9 +111,35 @@ class View {
     this.show();
   }
 
+  /* The artefact fills the view, and goes on doing so in the next positions; or the whole machine again. */
+  closer() {
+    this.near = !this.near;
+    document.getElementById("closer").setAttribute("aria-pressed", String(this.near));
+    this.fit();
+    this.show();
+  }
+
+  zoom(factor) {
+    this.camera.zoom(factor);
+    this.show();
+  }
+
   fit() {
     const drawn = this.plan ?? this.machine;
-    if (drawn) this.camera.fit([...boxCorners(drawn.travel), ...boxCorners(drawn.table).filter(([, , z]) => z === drawn.table.high[2])]);
+    if (!drawn) return;
+    const visit = this.near && this.plan?.visits[visitOf(this.plan, seen.status?.step)];
+    if (visit) this.fitInto(visit.placing.bodies.flatMap(({ a, b }) => [a, b]));
+    else this.fitInto([...boxCorners(drawn.travel), ...boxCorners(drawn.table).filter(([, , z]) => z === drawn.table.high[2])]);
+  }
+
+  /* Between the legend with the positions of the axes and the buttons. */
+  fitInto(points) {
+    const { camera, texts: { legend, axes, turns } } = this, { height } = camera;
+    const above = axes.offsetTop + (axes.offsetHeight || legend.offsetHeight) + BESIDE_PX, below = turns.offsetHeight + 2 * BESIDE_PX;
+    camera.height = Math.max(height - above - below, height / 3);
+    camera.fit(points);
+    camera.height = height;
+    camera.shift(0, (above - below) / 2);
   }
 
   resize() {
@@ -111,6 +152,7 @@ class View {
     this.show();
   }
 
+  /* In the next frame, which browsers leave out while the page is hidden. */
   show() {
     if (this.waiting) return;
     this.waiting = true;
@@ -121,52 +163,33 @@ class View {
   }
 
   paint() {
-    const { context, camera, plan, machine } = this;
-    context.clearRect(0, 0, camera.width, camera.height);
+    const { context, camera, plan, machine, texts } = this;
+    const axes = seen.status?.axis_mm ?? null, step = seen.status?.step;
+    setText(texts.axes, axesText(axes));
     if (camera.width < 2) return;
+    context.clearRect(0, 0, camera.width, camera.height);
     const colours = coloursNow();
     if (!plan?.visits.length) {
+      setText(texts.text, "");
       if (machine) paintMachine(context, camera, machine, colours);
       return;
     }
-    const visit = visitOf(plan, seen.status?.step);
-    const state = { visit, progress: plan.visits[visit].first, path: false, probe: false, others: true };
-    mark(context, paint(context, camera, plan, state, colours), colours);
+    const visit = visitOf(plan, step);
+    if (this.near && visit !== this.visit) this.fit();
+    this.visit = visit;
+    const tip = axes && this.offset ? added(axes, this.offset) : null;
+    this.progress = tip ? progressOf(plan, visit, step, tip, this.progress) : plan.visits[visit].first;
+    const state = { visit, progress: this.progress, path: false, ahead: tip !== null, probe: tip !== null, tip, others: true };
+    const stateOf = ballStates(plan.visits[visit].phase, step);
+    const met = markBalls(context, paint(context, camera, plan, state, colours), stateOf, plan.visits[visit].placing, colours);
+    for (const entry of texts.legend.children) entry.hidden = !ALWAYS_TOLD.has(entry.className) && !met.has(entry.className);
+    if (tip) markAxes(context, camera, plan.travel, tip, axes, colours);
+    setText(texts.text, sceneText(plan, visit, stateOf, axes));
   }
 }
 
-/* Visit that the step belongs to; the first one if nothing is being measured. */
-function visitOf(plan, step) {
-  const at = placeOf(step);
-  if (!at) return 0;
-  const key = `station-${at.station}/az${at.azimuth}-el${at.elevation}`;
-  const own = plan.visits.findIndex((visit) => visit.phase === at.phase && visit.placing.key === key);
-  return Math.max(own, 0);
-}
-
-const keyOf = (station, azimuth, elevation, ball) => `${station}/${Number(azimuth)}/${Number(elevation)}/${ball}`;
-
-function keyOfStep(step) {
-  const at = placeOf(step);
-  return at && at.ball !== null ? keyOf(at.station, at.azimuth, at.elevation, at.ball) : null;
-}
-
-/* A ball that was found later is no longer shown as lost. */
-function mark(context, onScreen, colours) {
-  const measured = new Set(seen.balls.map((ball) => keyOf(ball.station, ball.azimuth_deg, ball.elevation_deg, ball.ball)));
-  const lost = new Set(seen.lost.map(keyOfStep));
-  const next = keyOfStep(seen.status?.step);
-  for (const { x, y, size, ball, placing } of onScreen) {
-    const key = keyOf(placing.station, placing.az, placing.el, ball.number);
-    if (measured.has(key)) disc(context, x, y, Math.max(3.5, size), colours.go);
-    else if (lost.has(key)) cross(context, x, y, Math.max(6, size), colours.red);
-    if (key === next) ring(context, x, y, Math.max(9, size + 5), colours.pathNow, 3.5);
-  }
-}
-
-function cross(context, x, y, size, colour) {
-  line(context, [x - size, y - size], [x + size, y + size], 3, colour);
-  line(context, [x - size, y + size], [x + size, y - size], 3, colour);
+function setText(element, text) {
+  if (element.textContent !== text) element.textContent = text;
 }
 
 function coloursNow() {

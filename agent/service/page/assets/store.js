@@ -57,7 +57,7 @@ async function beginRun(run) {
     const [balls, events] = await Promise.all([known(`${path}/balls`), known(`${path}/events?limit=1000`)]);
     seen.balls = balls;
     seen.events = events.filter(({ kind }) => kind === "state" || kind === "note").map(asEvent).reverse().slice(0, EVENTS_KEPT);
-    seen.lost = events.map(({ record }) => record.step ?? "").filter((key) => key.endsWith("/lost"));
+    seen.lost = events.filter(({ record }) => record.step?.endsWith("/lost")).map(({ record }) => ({ key: record.step, reason: record.reason }));
   }
   notify("run", run);
   notify("event", null);
@@ -83,7 +83,7 @@ function happened(kind, message) {
     notify("ball", data);
   }
   if (kind === "lost") {
-    seen.lost.push(text);
+    seen.lost.push({ key: text, reason: data.reason });
     notify("ball", data);
   }
   if (kind === "temperature") seen.temperatures.push({ key: text, ...data });

@@ -1,0 +1,48 @@
+"""Documents made from the trends of a machine, kept in its state directory over a restart of the service.
+
+The fit of all series of a thousand runs takes seconds of the processor; after a restart with the same history, the same
+documents would be made again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import structlog
+
+from agent.files import write_atomically
+from drivers.errors import InputError
+
+log = structlog.get_logger()
+
+
+@dataclass(frozen=True)
+class KeptDocuments:
+    """Documents by name in the file `path`. They are valid for one `key`, which stands for everything from which they
+    were made; those of another key are not read."""
+
+    path: Path
+
+    def read(self, key: object) -> dict[str, Any]:
+        """Return the documents of `key`; none if there are none, or if the file cannot be read."""
+        try:
+            found = json.loads(self.path.read_text(encoding="utf-8"))
+            return dict(found["documents"]) if found["key"] == _digest(key) else {}
+        except (OSError, ValueError, TypeError, KeyError):
+            return {}  # they are made again
+
+    def write(self, key: object, documents: Mapping[str, Any]) -> None:
+        """Replace the documents in the file. If the file cannot be written, the next start makes them again."""
+        try:
+            write_atomically(self.path, json.dumps({"key": _digest(key), "documents": documents}))
+        except InputError as error:
+            log.warning("trends are not kept", reason=error.message)
+
+
+def _digest(key: object) -> str:
+    return hashlib.sha256(repr(key).encode()).hexdigest()

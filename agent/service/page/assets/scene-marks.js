@@ -1,0 +1,53 @@
+/* Marks of the live view over the drawn bodies: state of each ball, axis positions at the edges of the travel. */
+import { number } from "./language.js";
+
+/* globals ring, disc, line, between */
+const LEAST_PX = 3.5, MARK_PX = 6, NEXT_PX = 9, FAINT = 0.4;
+
+/* Those of other positions than `current` are faint, as their bodies are. Returns the states that were met. */
+export function markBalls(context, onScreen, stateOf, current, colours) {
+  const met = new Set();
+  for (const { x, y, size, ball, placing } of onScreen) {
+    context.globalAlpha = placing === current ? 1 : FAINT;
+    const state = stateOf(placing, ball);
+    met.add(state);
+    if (state === "measured") disc(context, x, y, Math.max(LEAST_PX, size), colours.go);
+    else if (state === "lost") cross(context, x, y, Math.max(MARK_PX, size), colours.red);
+    else if (state === "rejected") diamond(context, x, y, Math.max(MARK_PX, size) + 2, colours.wait);
+    else if (state === "next") ring(context, x, y, Math.max(NEXT_PX, size + 5), colours.pathNow, 3.5);
+  }
+  context.globalAlpha = 1;
+  return met;
+}
+
+function cross(context, x, y, size, colour) {
+  line(context, [x - size, y - size], [x + size, y + size], 3, colour);
+  line(context, [x - size, y + size], [x + size, y - size], 3, colour);
+}
+
+function diamond(context, x, y, size, colour) {
+  context.fillStyle = colour;
+  context.beginPath();
+  for (const [dx, dy] of [[0, -size], [size, 0], [0, size], [-size, 0]]) context.lineTo(x + dx, y + dy);
+  context.closePath();
+  context.fill();
+}
+
+/* A slider on each edge of the travel, with its axis position; `tip` is where the tip is, `axes` what the controller shows. */
+export function markAxes(context, camera, { low, high }, tip, axes, colours) {
+  context.font = "600 12px system-ui, sans-serif";
+  context.textAlign = "center";
+  context.textBaseline = "middle";
+  [0, 1, 2].forEach((axis) => {
+    const end = low.map((value, i) => (i === axis ? high[i] : value));
+    const share = Math.min(Math.max((tip[axis] - low[axis]) / (high[axis] - low[axis] || 1), 0), 1);
+    const from = camera.project(low), to = camera.project(end), [x, y] = camera.project(between(low, end, share));
+    if (Math.hypot(to[0] - from[0], to[1] - from[1]) < 20) return; // seen end on
+    disc(context, x, y, 6, colours.accent);
+    const text = number(axes[axis], 0), half = context.measureText(text).width / 2 + 4;
+    context.fillStyle = colours.paper;
+    context.fillRect(x - half, y + 9, 2 * half, 16);
+    context.fillStyle = colours.ink;
+    context.fillText(text, x, y + 17);
+  });
+}
