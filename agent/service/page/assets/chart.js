@@ -20,7 +20,7 @@ export function chart({ name, title, xLabel, yLabel = "", x, y, width: wide = 52
     svg.append(draw("line", { x1: room.left, x2: width - room.right, y1: scales.y(value), y2: scales.y(value), class: "grid" }));
     svg.append(label(room.left - 5, scales.y(value) + 4, "end", figure(value, y)));
   }
-  for (const value of rounded(x, ticksX)) svg.append(label(scales.x(value), height - room.bottom + 16, anchorAt(value, x, nameX(value).length), nameX(value)));
+  for (const value of rounded(x, ticksX)) svg.append(label(scales.x(value), height - room.bottom + 18, anchorAt(value, x, nameX(value).length), nameX(value)));
   if (y[0] < 0 && y[1] > 0) svg.append(draw("line", { x1: room.left, x2: width - room.right, y1: scales.y(0), y2: scales.y(0), class: "zero" }));
   for (const one of draws) svg.append(...one(scales));
   svg.append(label(room.left, 15, "start", title, "title"), label(width - room.right, height - 3, "end", xLabel), label(width - room.right, 15, "end", yLabel));
@@ -69,7 +69,17 @@ export const band = (xs, low, high, kind) => ({ x, y }) => {
   return [draw("path", { d: `${pathOf([...there, ...back])}Z`, class: `band ${kind}` })];
 };
 
-export const points = (xs, ys, doubts, kind) => ({ x, y, inside }) => xs.flatMap((value, i) => [
+/* With more values than this, single bars and marks would cover each other. */
+export const MANY = 120;
+
+export const points = (xs, ys, doubts, kind) => (xs.length > MANY ? manyPoints(xs, ys, doubts, kind) : fewPoints(xs, ys, doubts, kind));
+
+const manyPoints = (xs, ys, doubts, kind) => (scales) => [
+  ...(doubts ? band(xs, ys.map((value, i) => scales.inside(value - doubts[i])), ys.map((value, i) => scales.inside(value + doubts[i])), `doubts ${kind}`)(scales) : []),
+  ...xs.map((value, i) => draw("circle", { cx: scales.x(value), cy: scales.y(ys[i]), r: 1.5, class: `point ${kind}` })),
+];
+
+const fewPoints = (xs, ys, doubts, kind) => ({ x, y, inside }) => xs.flatMap((value, i) => [
   ...(doubts ? [draw("line", { x1: x(value), x2: x(value), y1: y(inside(ys[i] - doubts[i])), y2: y(inside(ys[i] + doubts[i])), class: `doubt ${kind}` })] : []),
   draw("circle", { cx: x(value), cy: y(ys[i]), r: 3.5, class: `point ${kind}` }),
 ]);

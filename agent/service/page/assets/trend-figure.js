@@ -1,7 +1,7 @@
 /* Chart of one series over the nights: values with uncertainty, fit with band, steps, control limits, tolerance, and
    marks of the runs that changed the compensation or found the machine changed. A span of time is chosen by a button or
    by dragging over a chart. */
-import { band, chart, fall, level, line, pathOf, points, reach } from "./chart.js";
+import { band, chart, fall, level, line, MANY, pathOf, points, reach } from "./chart.js";
 import { draw, make } from "./dom.js";
 import { day, minute, number, say } from "./language.js";
 import { choice } from "./parts.js";
@@ -30,7 +30,7 @@ export function trendFigure(trend, title, marks = [], zoomed = () => {}) {
     ...(limits ? [limits[0], limits[2]].map((limit) => level(limit, [Math.min(Math.max(lastStep(trend), x[0]), x[1]), x[1]], "control")) : []),
     ...(tolerance === null ? [] : [level(tolerance, x, "tolerance"), ...(trend.two_sided ? [level(-tolerance, x, "tolerance")] : [])]),
     ...steps.filter(inside).map(({ night }) => fall(night, y, "step")),
-    ...marks.filter(inside).map((mark) => tick(mark, y)),
+    ...marks.filter(inside).map((mark, _, those) => tick(mark, y, those.length > MANY)),
   ];
   const svg = chart({ title, xLabel: "", yLabel: unit, x, y, draws, height: 190, ticksX: 4, nameX: (night) => name(dateOf(trend, night)) });
   listen(svg, x, zoomed);
@@ -62,10 +62,10 @@ export function dateOf({ nights, started }, night) {
   return at(after - 1) + ((night - nights[after - 1]) / (nights[after] - nights[after - 1])) * (at(after) - at(after - 1));
 }
 
-/* Triangle on the axis, with its meaning and date as its title. */
-const tick = ({ night, kind, started }, [low]) => ({ x, y }) => {
-  const [at, foot] = [x(night), y(low)];
-  return [draw("path", { d: `${pathOf([[at - 5, foot + 9], [at + 5, foot + 9], [at, foot]])}Z`, class: `event ${kind}` },
+/* Triangle on the axis, with its meaning and date as its title; narrow if there are many. */
+const tick = ({ night, kind, started }, [low], dense) => ({ x, y }) => {
+  const [at, foot] = [x(night), y(low)], half = dense ? 1 : 5;
+  return [draw("path", { d: `${pathOf([[at - half, foot + 8], [at + half, foot + 8], [at, foot]])}Z`, class: `event ${kind}${dense ? " dense" : ""}` },
     draw("title", {}, `${say(`trend.mark_${kind}`)}, ${day(Date.parse(started))}`))];
 };
 
