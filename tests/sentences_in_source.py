@@ -40,8 +40,20 @@ ROOMS = (
     "agent/thermal",
     "drivers",
     "simulators/operator.py",
+    "twin/artefact/artefact.py",
+    "twin/artefact/artefact_body.py",
+    "twin/artefact/certificate.py",
+    "twin/artefact/combined_artefact.py",
+    "twin/artefact/position_set.py",
+    "twin/collision/measuring_layout.py",
+    "twin/collision/probe_frame.py",
+    "twin/collision/probe_geometry.py",
+    "twin/formats",
+    "twin/machine/error_model.py",
+    "twin/machine/kinematic_chain.py",
+    "twin/machine/machine_description.py",
 )
-"""Rooms whose sentences reach an operator during a run."""
+"""Rooms whose sentences reach a person: during a run, when a run is started with its files, and in documents."""
 APART = (
     "agent/planning/design",
     "agent/planning/new_machine",
@@ -72,7 +84,8 @@ WORDS = re.compile(r"[a-z]{2,}[^{}]* [^{}]*[a-z]{2,}|[a-z]{2,} \{|\}[^{}]* [a-z]
 
 @cache
 def error_classes() -> frozenset[str]:
-    trees = [ast.parse((ROOT / name).read_text(encoding="utf-8")) for name in ("drivers/errors.py", "agent/errors.py")]
+    files = ("drivers/errors.py", "agent/errors.py", "twin/errors.py")
+    trees = [ast.parse((ROOT / name).read_text(encoding="utf-8")) for name in files]
     return frozenset(node.name for tree in trees for node in tree.body if isinstance(node, ast.ClassDef))
 
 
