@@ -13,7 +13,7 @@ from campaigns.faults.fault_kinds import KINDS
 from campaigns.faults.night_record import INVARIANTS, NightRecord, violations
 from campaigns.faults.planned_night import LINKS, plan_night
 
-NIGHTS = 36
+NIGHTS = 39
 """Every kind of fault in one process once, and one night with each real link; about 70 s of CPU time."""
 FORMER, NEW, OTHER = 1, 2, 3
 
