@@ -51,10 +51,11 @@ TABLE = (
     "SELECT run, run_id, tables.rowid, at, role, bank, crc32, origin_mm, step_mm, resolution_mm, shape "
     "FROM tables JOIN runs USING (run) "
 )
-ACTIVE_TABLE = TABLE + (
-    "WHERE role IN ('backup', 'restored') OR (role = 'staged' AND EXISTS (SELECT 1 FROM decisions "
-    "WHERE decisions.run = tables.run AND decisions.kind IN (SELECT value FROM json_each(:kinds)))) "
-    "ORDER BY tables.rowid DESC LIMIT 1"
+LAST_BACKUP = TABLE + (  # a resumed run that began before the last one has a lower number, and is later
+    "WHERE role = 'backup' AND run = coalesce(:run, (SELECT run FROM events WHERE events.kind = 'state' "
+    "AND CASE WHEN json_valid(record) THEN json_extract(record, '$.state') END IN ('preflight', 'resuming') "
+    "AND EXISTS (SELECT 1 FROM tables AS kept WHERE kept.run = events.run AND kept.role = 'backup') "
+    "ORDER BY events.rowid DESC LIMIT 1), (SELECT max(run) FROM tables WHERE role = 'backup')) LIMIT 1"
 )
 EVENT = (
     "SELECT rowid, at, kind, record FROM events WHERE run = :run AND rowid > :after "

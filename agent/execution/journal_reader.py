@@ -353,20 +353,26 @@ class JournalReader:
         """Return the journal row of the backup that the run number `run` stored, or None if there is none. The backup
         is the compensation table that was read from the controller before anything was written.
 
-        If `run` is None, the backup of the last run that stored one is returned.
+        If `run` is None, the backup of the run that was started or resumed last is returned, among the runs that
+        stored one.
         """
-        query = queries.TABLE + "WHERE role = 'backup' AND run = coalesce(:run, run) ORDER BY run DESC LIMIT 1"
-        return self._first(TableRow, query, run=run)
+        return self._first(TableRow, queries.LAST_BACKUP, run=run)
 
     def last_active_table(self, accepting: Collection[str]) -> TableRow | None:
-        """Return the row of the latest stored compensation table that should be active in the controller; None if there
-        is none.
+        """Return the row of the stored compensation table that should be active in the controller; None if there is
+        none.
 
-        A table should be active if it is a backup (read before anything was written) or a restored table (made active
-        again by its run). A staged table, that is, one that its run wrote to the controller, should be active if its
-        run has a decision of one of the kinds `accepting`.
+        It belongs to the run of `last_backup`. This is the staged table, which its run wrote to the controller, if the
+        run has a decision of one of the kinds `accepting`. Otherwise it is the restored table (made active again), or
+        the backup (read before anything was written).
         """
-        return self._first(TableRow, queries.ACTIVE_TABLE, kinds=_listed(accepting))
+        backup = self.last_backup()
+        if backup is None:
+            return None
+        staged = self.last_table(backup.run, "staged")
+        if staged is not None and self.has_decision(backup.run, accepting):
+            return staged
+        return self.last_table(backup.run, "restored") or backup
 
     def image(self, table: TableRow) -> TableImage | None:
         """Return the whole compensation table that the row `table` describes; None if the row describes an empty table

@@ -38,6 +38,8 @@ A thermometer fault is one of a reading that is not used. A resumed run goes on 
 those before it.
 """
 
+RESTORE = "restore"
+"""Kind of the run that reactivates a stored table. It measures nothing that a new one would have to repeat."""
 STOPPED = "Aborted"
 """Error of a run that a person has stopped."""
 
@@ -114,14 +116,18 @@ def _unfinished(reader: JournalReader, row: RunRow) -> UnfinishedRun | None:
         reason=row.reason or "",
         balls=reader.count_balls(row.run),
         last_step=reader.last_step_key(row.run) or "",
-        refusal="" if unproved else _refusal(reader, row.run, state),
+        refusal=_refusal(reader, row, state, unproved=unproved),
     )
 
 
-def _refusal(reader: JournalReader, run: int, state: RunState) -> str:
+def _refusal(reader: JournalReader, row: RunRow, state: RunState, *, unproved: bool) -> str:
+    if row.kind == RESTORE:
+        return "it restores a stored table, and does not go on; ask for the restoration again"
+    if unproved:
+        return ""
     if state is RunState.ABORTING or (state in FINAL and state is not RunState.FAULTED):
         return f"it was {state.value} on request"
-    origin = reader.origin(run)
+    origin = reader.origin(row.run)
     if origin is None or origin.begun_s is None:
         return "it had not begun to measure; start it again"
     return ""

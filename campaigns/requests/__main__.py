@@ -19,43 +19,60 @@ from __future__ import annotations
 import argparse
 import json
 import logging
+import os
 import sys
-import tempfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from time import perf_counter
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # must be set before numpy is imported
 
 import numpy as np
 import structlog
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from campaigns.requests.trial import ACTIONS, Count, RequestTrial
+from agent.execution.states import RunState
+from agent.service.allowed_requests import RESTORE_FORMER, RESUME_RUN, START
+from benchmarks.places import memory_directory
+from campaigns.requests.trial import ACTIONS, REQUESTS, Count, RequestTrial
 
 STEPS_PER_TRIAL = 500
-AT_REST = {"start": 2.0, "end_service": 0.2, "cut_or_connect": 0.4, "go_on": 0.1, "go_to_the_next_state": 0.1}
+LONG_FORM_STEPS = 10_000
+"""Number of steps from which each request must have been accepted."""
+RARE = {
+    "end_service": 0.2,
+    "kill": 0.1,
+    "cut_or_connect": 0.4,
+    "refuse_or_permit": 0.2,
+    "read_idle": 0.3,
+    "reload": 0.3,
+}
+"""Weights of events that are not requests, while no run is in progress."""
+WAITING = {"go_on": 0.1, "go_to_the_next_state": 0.1}
+AT_REST = {**RARE, **WAITING, "start": 2.0}
 """Weights of the actions while no run is in progress, where they are not 1."""
 RUNNING = {
-    **{"abort": 0.06, "end_service": 0.03, "cut_or_connect": 0.3, "go_on": 2.0, "go_to_the_next_state": 0.15},
-    **{"resume": 1.5, "start": 0.2, "restore_table": 0.1},
+    **{"abort": 0.06, "end_service": 0.03, "kill": 0.02, "cut_or_connect": 0.3, "refuse_or_permit": 0.1},
+    **{"go_on": 2.0, "go_to_the_next_state": 0.2, "resume": 1.5, "answer": 2.0, "start": 0.2, "restore_table": 0.1},
 }
 """Weights while a run is in progress. With more aborts, runs would hardly come beyond their first touches."""
-CLOSED = {"end_service": 5.0, "go_on": 0.1, "go_to_the_next_state": 0.1}
+PROVING = {**RUNNING, "abort": 0.2, "kill": 0.3, "refuse_or_permit": 0.6}
+"""Weights while a new table is active that is not proved yet: the run often ends there, and cannot restore."""
+UNPROVED = {**RARE, **WAITING, "refuse_or_permit": 0.6, "restore_former": 2.0, "give_up": 1.0, "resume_run": 2.0}
+"""Weights while no run is in progress and an unproved table is active."""
+UNFINISHED = {**RARE, **WAITING, "resume_run": 3.0}
+"""Weights while no run is in progress and an unfinished run is offered."""
+CLOSED = {**WAITING, "end_service": 5.0}
 """Weights while the service is closed and no run is in progress: it starts again soon."""
+NOT_OFFERED = 0.25
+"""Factor of the weight of a request that the status does not offer, and that is therefore refused."""
+OFFERED_AS = {"restore_table": START}
+"""Requests that the status offers under another name. A reload is not offered by it."""
 NAMES = list(ACTIONS)
 MAX_LISTED = 20
 S_PER_MIN = 60.0
-
-
-def shares_of(weights: Mapping[str, float]) -> NDArray[np.float64]:
-    """Return the probability of each of `NAMES`, an array of their number; the weight of a name that is not among
-    `weights` is 1."""
-    drawn = [weights.get(name, 1.0) for name in NAMES]
-    return np.array([weight / sum(drawn) for weight in drawn])
-
-
-AT_REST_SHARES, CLOSED_SHARES, RUNNING_SHARES = shares_of(AT_REST), shares_of(CLOSED), shares_of(RUNNING)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -69,17 +86,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ends_s = began + given.wall_minutes * S_PER_MIN
     while count.steps.total() < given.steps and perf_counter() < ends_s:
         steps = min(STEPS_PER_TRIAL, given.steps - count.steps.total())
+        known = len(count.violations)
         play(np.random.default_rng([given.seed, trial]), steps, count, ends_s)
+        for text in count.violations[known:]:
+            print(f"trial {trial}: {text}", file=sys.stderr, flush=True)
         trial += 1
     result = {"steps": count.steps.total(), "trials": trial, "seed": given.seed, **summarise(count)}
-    passed = not count.violations and count.steps.total() > 0
+    missed = [name for name in REQUESTS if not count.accepted[name]] if count.steps.total() >= LONG_FORM_STEPS else []
+    result |= {"never_accepted": missed}
+    passed = not count.violations and not missed and count.steps.total() > 0
     print(json.dumps({"passed": passed, **result, "wall_seconds": round(perf_counter() - began, 1)}))
     return 0 if passed else 1
 
 
 def play(rng: Generator, steps: int, count: Count, ends_s: float) -> None:
     """Carry out one trial of so many steps, or until `ends_s` of `perf_counter`, and add what happened to `count`."""
-    with tempfile.TemporaryDirectory(prefix="volcal-requests-") as directory:
+    with memory_directory("requests") as directory:
         trial = RequestTrial(Path(directory), count)
         try:
             for _ in range(steps):
@@ -91,9 +113,25 @@ def play(rng: Generator, steps: int, count: Count, ends_s: float) -> None:
 
 
 def _shares(trial: RequestTrial) -> NDArray[np.float64]:
+    """Return the probability of each of `NAMES`, an array of their number."""
+    weights, may = _weights(trial), trial.may
+
+    def weight(name: str) -> float:
+        is_offered = name not in REQUESTS or name == "reload" or OFFERED_AS.get(name, name) in may
+        return weights.get(name, 1.0) * (1.0 if is_offered else NOT_OFFERED)
+
+    drawn = [weight(name) for name in NAMES]
+    return np.array([one / sum(drawn) for one in drawn])
+
+
+def _weights(trial: RequestTrial) -> Mapping[str, float]:
     if not trial.at_rest:
-        return RUNNING_SHARES
-    return CLOSED_SHARES if trial.closed else AT_REST_SHARES
+        return PROVING if trial.state in (RunState.ACTIVATING, RunState.VERIFYING) else RUNNING
+    if trial.closed:
+        return CLOSED
+    if RESTORE_FORMER in trial.may:
+        return UNPROVED
+    return UNFINISHED if RESUME_RUN in trial.may else AT_REST
 
 
 def summarise(count: Count) -> dict[str, object]:
@@ -103,7 +141,8 @@ def summarise(count: Count) -> dict[str, object]:
         return dict(sorted(counter.items()))
 
     return {
-        "by_request": listed(count.steps),
+        "by_action": listed(count.steps),
+        "accepted": {name: count.accepted[name] for name in REQUESTS},
         "refusals": listed(count.refusals),
         "by_state": listed(count.states),
         "runs_by_end": listed(count.ends),

@@ -1,18 +1,21 @@
 """One owner of a simulated machine in this process. Its runs stop at a turnstile, so that requests are made at chosen
-moments."""
+moments. The owner can be killed: nothing of its run has an effect any more, and a new owner begins on the same state
+directory."""
 
 from __future__ import annotations
 
 import dataclasses
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from agent.errors import Interrupted
 from agent.execution.device_assembly import Devices
 from agent.execution.encoding import table_digest
+from agent.execution.journal import RunJournal
 from agent.execution.rig import Rig
 from agent.execution.run_lock import Ownership, ownership
 from agent.execution.run_state import Announcement
@@ -21,6 +24,7 @@ from agent.runs.planned_run import Kind
 from agent.runs.resume.resume import resume
 from agent.runs.run_context import RunHooks
 from agent.runs.session import RunResult, carry_out
+from agent.service.control import Alarm
 from agent.service.owner.health import Health
 from agent.service.owner.owner import Owner
 from agent.service.owner.owner_parts import CONSOLE, MachineAccess, OwnerParts
@@ -31,14 +35,16 @@ from agent.service.state.reports import ReportQueue
 from agent.service.state.status_board import StatusBoard
 from agent.settings.schema import Settings
 from campaigns.aborts.case import FORMER_BANK, FORMER_TABLE
-from campaigns.resume.case import KillableClock, prepare_case
+from campaigns.resume.case import KillableClock, Killed, prepare_case
 from drivers.clock import Clock, VirtualClock
-from drivers.errors import LinkLost
+from drivers.errors import LinkLost, StoreError
 from drivers.roles import Miss, Touch, Vector
 from simulators.backend import SimulatedMachineDevice
 from simulators.world.world import World
 
 PATIENCE_S = 900.0
+SETTLE_S = 60.0
+"""Machine time in s after which every motion has ended that was left to the controller."""
 AT_NIGHT = Circumstances(datetime(2026, 11, 21, 2, 0), 600.0)
 
 
@@ -112,6 +118,69 @@ class Turnstile:
             raise RuntimeError("the run neither stands at the turnstile nor has it ended")
 
 
+class OwnerProcess:
+    """Process of one owner. Once it is `killed`, every access of its run to the machine, the clock or the journal
+    raises Killed, so that the run has no effect any more."""
+
+    def __init__(self) -> None:
+        self.killed = False
+
+    def check(self) -> None:
+        if self.killed:
+            raise Killed
+
+
+class KillableJournalState(JournalState):
+    """State of the journal for an owner that may be killed. A killed owner records no alarm."""
+
+    process: OwnerProcess
+
+    def __init__(self, directory: Path, process: OwnerProcess) -> None:
+        super().__init__(directory)
+        object.__setattr__(self, "process", process)
+
+    def record_alarm(self, run_id: str, alarm: Alarm) -> None:
+        if not self.process.killed:
+            super().record_alarm(run_id, alarm)
+
+
+class JournalGuard:
+    """Guard of all run journals of this program: the run of a killed owner writes nothing."""
+
+    def __init__(self) -> None:
+        self._of_thread: dict[int, OwnerProcess] = {}
+        self._execute = RunJournal._execute
+
+    @contextmanager
+    def installed(self) -> Iterator[None]:
+        """Guard the journals during the `with` block."""
+        execute, of_thread = self._execute, self._of_thread
+
+        def guarded(journal: RunJournal, statement: str, values: Sequence[object] = ()) -> Any:
+            process = of_thread.get(threading.get_ident())
+            if process is not None:
+                process.check()
+            return execute(journal, statement, values)
+
+        RunJournal._execute = guarded  # type: ignore[method-assign, assignment]
+        try:
+            yield
+        finally:
+            RunJournal._execute = execute  # type: ignore[method-assign]
+
+    @contextmanager
+    def run_of(self, process: OwnerProcess) -> Iterator[None]:
+        """Note that this thread carries out a run of `process` during the `with` block. A killed run ends it with an
+        error that its owner does not log as a defect."""
+        self._of_thread[threading.get_ident()] = process
+        try:
+            yield
+        except Killed:
+            raise Interrupted("the process was killed") from None
+        finally:
+            del self._of_thread[threading.get_ident()]
+
+
 class TurnstileClock(VirtualClock):
     """Virtual clock that begins at the present time of the world and advances it; its waits pass the turnstile.
 
@@ -119,14 +188,15 @@ class TurnstileClock(VirtualClock):
     from the interrupted one.
     """
 
-    def __init__(self, world: World, turnstile: Turnstile) -> None:
+    def __init__(self, world: World, turnstile: Turnstile, process: OwnerProcess) -> None:
         super().__init__()
         self._now = world.now
-        self._turnstile = turnstile
+        self._turnstile, self._process = turnstile, process
         self.subscribe(world.advance_to)
 
     def sleep(self, duration_s: float) -> None:
         self._turnstile.pass_through()
+        self._process.check()
         super().sleep(duration_s)
 
 
@@ -142,10 +212,11 @@ class CuttableLink:
 
 
 class LinkedDevice:
-    """Simulated machine behind a link. It notes touches that begin after an abort and are carried out all the same."""
+    """Simulated machine behind a link. It notes touches that begin after an abort and are carried out all the same.
+    While the scene `refuses_activation`, the controller activates no bank. A killed `process` gets no answer."""
 
-    def __init__(self, device: SimulatedMachineDevice, scene: RequestScene) -> None:
-        self._device, self._scene = device, scene
+    def __init__(self, device: SimulatedMachineDevice, scene: RequestScene, process: OwnerProcess) -> None:
+        self._device, self._scene, self._process = device, scene, process
 
     def __getattr__(self, name: str) -> Any:
         found = getattr(self._device, name)
@@ -153,6 +224,7 @@ class LinkedDevice:
             return found
 
         def linked(*positional: Any, **named: Any) -> Any:
+            self._process.check()
             self._scene.link.check()
             result = found(*positional, **named)
             self._scene.link.check()
@@ -160,7 +232,16 @@ class LinkedDevice:
 
         return linked
 
+    def activate(self, bank: int) -> None:
+        self._process.check()
+        self._scene.link.check()
+        if self._scene.refuses_activation:
+            raise StoreError(f"the controller does not activate bank {bank}: busy")
+        self._device.activate(bank)
+        self._scene.link.check()
+
     def touch_towards(self, target_mm: Vector, *, feed_mm_per_s: float) -> Touch | Miss:
+        self._process.check()
         late = self._scene.aborted
         self._scene.link.check()
         touched = self._device.touch_towards(target_mm, feed_mm_per_s=feed_mm_per_s)
@@ -174,7 +255,7 @@ class RequestScene:
     """Machine, link, state directory and the present owner of the machine. `aborted` is True from the abort of a run
     until the next one begins."""
 
-    def __init__(self, directory: Path, owned: Ownership) -> None:
+    def __init__(self, directory: Path, owned: Ownership, journals: JournalGuard) -> None:
         settings, machine = prepare_case(directory)
         document = settings.model_dump()
         document["devices"]["person"] = {"driver": CONSOLE}
@@ -188,9 +269,10 @@ class RequestScene:
         self.world.controller.write_bank(FORMER_BANK, FORMER_TABLE)
         self.world.controller.activate(FORMER_BANK)
         self.link, self.turnstile = CuttableLink(), Turnstile()
-        self.aborted = False
+        self.aborted = self.refuses_activation = False
         self.touches_after_abort = 0
         self._directory, self._owned = directory, owned
+        self._journals, self._process = journals, OwnerProcess()
         self.event_log = EventLog()
         self.reports = ReportQueue(self.state_directory, lambda *_: {})
         self.owner = self._new_owner(self.settings)
@@ -212,38 +294,54 @@ class RequestScene:
 
     def restart(self) -> None:
         """Replace the owner by a new one on the same state directory, as a restart of the service does."""
-        self.event_log = EventLog()
+        self.event_log, self._process = EventLog(), OwnerProcess()
         self.owner = self._new_owner(self.owner.settings)
 
+    def kill(self) -> None:
+        """Kill the owner, and start a new one once the motion that it left to the controller has ended."""
+        self._process.killed = True
+        while self.turnstile.let_pass(10_000, stops_at_states=False):
+            pass
+        if not self.owner.wait(PATIENCE_S):
+            raise RuntimeError("the killed run did not end")
+        self.world.advance_to(self.world.now + SETTLE_S)
+        self.restart()
+
     def _new_owner(self, settings: Settings) -> Owner:
-        state = self.state_directory
+        state, process = self.state_directory, self._process
         parts = OwnerParts(
             config=self._directory / "volcal.toml",
             event_log=self.event_log,
             board=StatusBoard("case-study", self.event_log),
             health=Health(VirtualClock().now, hang_timeout_s=30.0, computing_s=900.0),
             ownership=self._owned,
-            journal_state=JournalState(state),
+            journal_state=KillableJournalState(state, process),
             reports=self.reports,
-            machine=MachineAccess(Devices(self._rig, lambda _: TurnstileClock(self.world, self.turnstile))),
+            machine=MachineAccess(
+                Devices(self._rig_of(process), lambda _: TurnstileClock(self.world, self.turnstile, process))
+            ),
             carry_out=self._carry_out,
             resume=self._resume,
             circumstances=lambda: AT_NIGHT,
         )
         return Owner(settings, parts)
 
-    def _rig(self, _: Settings, clock: Clock, __: Path) -> Rig:
-        device: Any = LinkedDevice(SimulatedMachineDevice(self.world, KillableClock(clock, self.world, None)), self)
-        return Rig({"twin": device}, device, device, {1: device}, device, device, device, clock)
+    def _rig_of(self, process: OwnerProcess) -> Callable[[Settings, Clock, Path], Rig]:
+        def assembled(_: Settings, clock: Clock, __: Path) -> Rig:
+            simulated = SimulatedMachineDevice(self.world, KillableClock(clock, self.world, None))
+            device: Any = LinkedDevice(simulated, self, process)
+            return Rig({"twin": device}, device, device, {1: device}, device, device, device, clock)
+
+        return assembled
 
     def _carry_out(
         self, job: Job, kind: Kind, base: Path, hooks: RunHooks, *, run_id: str, asked: dict[str, object]
     ) -> RunResult:
-        with self.turnstile.run():
+        with self._journals.run_of(self._process), self.turnstile.run():
             return carry_out(job, kind, base, self._stopping(hooks), run_id=run_id, asked=asked)
 
     def _resume(self, state_directory: Path, hooks: RunHooks, *, asked: dict[str, object]) -> RunResult:
-        with self.turnstile.run():
+        with self._journals.run_of(self._process), self.turnstile.run():
             return resume(state_directory, self._stopping(hooks), asked=asked)
 
     def _stopping(self, hooks: RunHooks) -> RunHooks:
@@ -269,12 +367,13 @@ def _without_deflection(machine: Path, directory: Path) -> Path:
 @contextmanager
 def scene_in(directory: Path) -> Iterator[RequestScene]:
     """Yield a new scene in an empty directory. At the end of the `with` block, its run is aborted and ended."""
-    with ownership(directory / "state", "the service (process 1)") as owned:
-        scene = RequestScene(directory, owned)
+    journals = JournalGuard()
+    with ownership(directory / "state", "the service (process 1)") as owned, journals.installed():
+        scene = RequestScene(directory, owned, journals)
         try:
             yield scene
         finally:
-            scene.link.cut = False
+            scene.link.cut = scene.refuses_activation = False
             scene.owner.abort("end of the trial")
             while scene.turnstile.let_pass(10_000, stops_at_states=False):
                 pass

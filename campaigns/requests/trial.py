@@ -15,8 +15,8 @@ from agent.execution.states import RunState
 from agent.runs.run_kinds import KINDS
 from agent.runs.run_request import SOURCES, RunRequest
 from agent.service.control import Status
-from campaigns.requests.scene import PATIENCE_S, RequestScene, scene_in
-from drivers.errors import LinkError, VolcalError
+from campaigns.requests.scene import PATIENCE_S, SETTLE_S, RequestScene, scene_in
+from drivers.errors import LinkError, StoreError, VolcalError
 
 S = RunState
 Choose = Callable[[int], int]
@@ -43,16 +43,18 @@ NEXT: dict[RunState, set[RunState]] = {
 }
 MOVES_ON = {S.ABORTING, S.ABORTED, S.FAULTED}
 """States that may follow each state of a run."""
-SETTLE_S = 60.0
+SETTLING = {"restore_former", "give_up"}
 STANDING_MM = 1e-6
 LONGEST_PASS = 400
 
 
 @dataclass
 class Count:
-    """Counts of what happened: requests by name, refusals by name, ends of runs by state, and the violations found."""
+    """Counts of what happened: actions by name, accepted and refused requests by name, ends of runs by state, and the
+    violations found."""
 
     steps: Counter[str] = field(default_factory=Counter)
+    accepted: Counter[str] = field(default_factory=Counter)
     refusals: Counter[str] = field(default_factory=Counter)
     ends: Counter[str] = field(default_factory=Counter)
     states: Counter[str] = field(default_factory=Counter)
@@ -68,7 +70,8 @@ class RequestTrial:
         self.scene: RequestScene = self._stack.enter_context(scene_in(directory))
         self._proved = {self.scene.table}
         self._runs = 0
-        self._running = self._closed = self._answered = self._was_cut = self._unattended = False
+        self._running = self._closed = self._answered = self._hindered = self._unattended = False
+        self._killed: set[str] = set()
         self._history: list[str] = []
         self._shown = S.IDLE
         self._listen()
@@ -131,10 +134,18 @@ class RequestTrial:
             self._answered = True
 
     def restore_former(self, _: Choose) -> None:
-        self._ask("restore_former", self.scene.owner.restore_former, "restore_former" in self._status.may)
+        self._settle("restore_former", self.scene.owner.restore_former)
 
     def give_up(self, _: Choose) -> None:
-        self._ask("give_up", self.scene.owner.give_up, "give_up" in self._status.may)
+        given_up = self._status.unfinished  # an earlier run may be unfinished, too
+        if self._settle("give_up", self.scene.owner.give_up) and self._status.unfinished == given_up is not None:
+            self._violated("a run is unfinished although it was given up")
+
+    def _settle(self, name: str, request: Callable[[], None]) -> bool:
+        accepted = self._ask(name, request, name in self._status.may)
+        if accepted and (self._status.unproved is not None or self.scene.table not in self._proved):
+            self._violated(f"{name} was accepted, and table {self.scene.table} is active without a proof")
+        return accepted
 
     def reload(self, choose: Choose) -> None:
         settings = (self.scene.settings, self.scene.settings_that_ask)[choose(2)]
@@ -158,11 +169,31 @@ class RequestTrial:
         if ended is self._running:
             self._violated(f"close says that the run ended: {ended}")
 
+    def kill(self, _: Choose) -> None:
+        """Kill the process of the service, with the run in progress if there is one, and start it again."""
+        run_id, killed = self._status.run_id, self._running
+        self.scene.kill()
+        self._running = self._closed = False
+        self._listen()
+        if not killed:
+            return
+        self.count.ends["killed"] += 1
+        row = self._row_of(run_id)
+        if row is not None and self._is_proved(row):
+            self._proved.add(self.scene.table)
+        if row is not None and row.ended is None:
+            self._killed.add(row.run_id)
+
     # ------------------------------------------------------------------ time and faults
 
     def cut_or_connect(self, choose: Choose) -> None:
         self.scene.link.cut = choose(4) == 0
-        self._was_cut = self._was_cut or self.scene.link.cut
+        self._hindered = self._hindered or self.scene.link.cut
+
+    def refuse_or_permit(self, choose: Choose) -> None:
+        """Let the controller refuse to activate a bank from now on, or activate it again."""
+        self.scene.refuses_activation = choose(3) == 0
+        self._hindered = self._hindered or self.scene.refuses_activation
 
     def go_on(self, choose: Choose) -> None:
         longest = (3, 40, LONGEST_PASS)[choose(3)]
@@ -188,6 +219,15 @@ class RequestTrial:
         return self._closed
 
     @property
+    def may(self) -> frozenset[str]:
+        """Requests that the status offers."""
+        return self._status.may
+
+    @property
+    def state(self) -> RunState:
+        return self._status.state
+
+    @property
     def _status(self) -> Status:
         return self.scene.owner.status()
 
@@ -200,9 +240,10 @@ class RequestTrial:
         if not self._ask(name, begin, offered, excused=excused):
             return False
         self._runs += 1
-        self._running, self._was_cut, self.scene.aborted = True, self.scene.link.cut, False
+        self._running, self.scene.aborted = True, False
+        self._hindered = self.scene.link.cut or self.scene.refuses_activation
         self._answered = self._unattended = False
-        if self.scene.table not in self._proved:
+        if self.scene.table not in self._proved and name != "resume_run":  # which proves the table
             self._violated(f"{name} accepted while an unproved table is active")
         self.scene.turnstile.await_run(self._runs)
         return True
@@ -215,13 +256,15 @@ class RequestTrial:
         except VolcalError as error:
             self.count.refusals[name] += 1
             unreached = self.scene.link.cut and isinstance(error, LinkError)
-            if allowed and not (excused or unreached):
+            unpermitted = self.scene.refuses_activation and isinstance(error, StoreError) and name in SETTLING
+            if allowed and not (excused or unreached or unpermitted):
                 self._violated(f"{name} refused although it was offered: {error!r}, may {may}")
             if not str(error).strip():
                 self._violated(f"{name} refused without a reason")
             if self._frozen() != before and not (excused and self.scene.table in self._proved):
                 self._violated(f"{name} was refused ({error!r}) and changed {before} to {self._frozen()}")
             return False
+        self.count.accepted[name] += 1
         if not (allowed or excused):
             self._violated(f"{name} accepted although it was not offered: state {before[0]}, may {may}")
         return True
@@ -238,35 +281,42 @@ class RequestTrial:
         self._running = False
         status, place = self._status, scene.position_mm
         self.count.ends[status.state.value] += 1
+        self._killed.discard(str(status.run_id))
         if status.verdict is None:
             self._violated(f"the end {status.state.value} is not stated")
         if status.state is S.COMPLETE and scene.table not in self._proved:
             self._prove(status)
-        elif scene.table not in self._proved and not self._was_cut:
+        elif scene.table not in self._proved and not self._hindered:
             self._violated(f"table {scene.table} is active after {status.state.value} without a proof")
         if status.state in {S.ABORTED, S.FAULTED, S.REFUSED} and not status.alarms:
             self._violated(f"{status.state.value} without a cause")
-        if status.state is S.FAULTED and not (self._was_cut or self._closed or self._unattended):
+        if status.state is S.FAULTED and not (self._hindered or self._closed or self._unattended):
             self._violated(f"{status.kind} faulted on a sound machine: {status.alarms[0].text}")
         scene.world.advance_to(scene.world.now + SETTLE_S)
         moved = max(abs(now - then) for now, then in zip(scene.position_mm, place, strict=True))
-        if moved > STANDING_MM and not self._was_cut:
+        if moved > STANDING_MM and not self._hindered:
             self._violated(f"the axes moved by {moved:g} mm after the end {status.state.value}")
 
     def _prove(self, status: Status) -> None:
-        """Add the active table to the proved ones if a restoration was asked for, or if the journal has the table, the
-        touches of its verification and its acceptance."""
-        row, (bank, digest) = self._journal_row(status), self.scene.table
-        proved = status.kind == "restore"
-        if row is not None and not proved:
-            with open_journal(self.scene.state_directory) as reader:
-                verified = any(touch.key.startswith("verify/") for touch in reader.touches(row.run))
-                staged = [(one.bank, one.crc32) for one in reader.tables(row.run) if one.role == "staged"]
-                proved = verified and reader.has_decision(row.run, ("accepted",)) and (bank, digest) in staged
-        if proved:
+        """Add the active table to the proved ones if the journal proves it."""
+        row = self._journal_row(status)
+        if row is not None and self._is_proved(row):
             self._proved.add(self.scene.table)
         else:
+            bank, digest = self.scene.table
             self._violated(f"{status.kind} completed with table {bank}, {digest}, which was not proved")
+
+    def _is_proved(self, row: RunRow) -> bool:
+        """Return True if the run has activated the active table, and its restoration was asked for, or the journal has
+        its acceptance and the touches of its verification."""
+        with open_journal(self.scene.state_directory) as reader:
+            staged = [(one.bank, one.crc32 or 0) for one in reader.tables(row.run) if one.role == "staged"]
+            if self.scene.table not in staged:
+                return False
+            if row.kind == "restore":
+                return reader.has_decision(row.run, ("table-restored",))
+            verified = any(touch.key.startswith("verify/") for touch in reader.touches(row.run))
+            return verified and reader.has_decision(row.run, ("accepted",))
 
     def check(self) -> None:
         """Compare status, events, journal and machine with each other."""
@@ -303,10 +353,11 @@ class RequestTrial:
     def _check_journal(self, status: Status, row: RunRow) -> None:
         journaled = RunState(row.state)
         if self._running:
-            agrees = journaled is status.state or journaled in AT_REST
+            resumed = status.state is S.PREFLIGHT and row.run_id in self._killed  # its journal has no end
+            agrees = journaled is status.state or journaled in AT_REST or resumed
         else:
             agrees = journaled is status.state and row.ended is not None
-            if status.state is S.IDLE:
+            if status.state is S.IDLE or (status.state is S.FAULTED and row.run_id in self._killed):
                 agrees = True
         if not agrees:
             self._violated(f"the journal says {row.state} (ended {row.ended}), the status {status.state.value}")
@@ -314,10 +365,13 @@ class RequestTrial:
     def _journal_row(self, status: Status) -> RunRow | None:
         """Run that is shown. It need not be the last one in the journal: a later run that ended before it had measured
         does not hide one that can be resumed."""
-        if status.run_id is None or not has_journal(self.scene.state_directory):
+        return self._row_of(status.run_id)
+
+    def _row_of(self, run_id: str | None) -> RunRow | None:
+        if run_id is None or not has_journal(self.scene.state_directory):
             return None
         with open_journal(self.scene.state_directory) as reader:
-            return reader.run(status.run_id)
+            return reader.run(run_id)
 
     def stored_tables(self) -> list[tuple[str, str]]:
         """Run and role of each stored table, and one that does not exist."""
@@ -348,8 +402,12 @@ ACTIONS: dict[str, Callable[[RequestTrial, Choose], None]] = {
     "reload": RequestTrial.reload,
     "read_idle": RequestTrial.read_idle,
     "end_service": RequestTrial.end_service,
+    "kill": RequestTrial.kill,
+    "refuse_or_permit": RequestTrial.refuse_or_permit,
     "cut_or_connect": RequestTrial.cut_or_connect,
     "go_on": RequestTrial.go_on,
     "go_to_the_next_state": RequestTrial.go_to_the_next_state,
 }
 """What may happen at any moment."""
+REQUESTS = tuple(ACTIONS)[: tuple(ACTIONS).index("read_idle")]
+"""Names of the requests, each of which can be accepted."""

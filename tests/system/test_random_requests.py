@@ -27,6 +27,7 @@ def test_random_requests_at_all_moments_of_real_runs() -> None:
     assert found["steps"] == STEPS
     assert sum(found["runs_by_end"].values()) > 2
     assert found["by_state"]["measuring"] > 10
+    assert sum(count > 0 for count in found["accepted"].values()) > 6
 
 
 @pytest.fixture
@@ -120,3 +121,48 @@ def test_a_restoration_first_takes_back_a_table_that_was_never_proved(trial: Req
     perform(trial, "restore_table", trial.stored_tables().index((run_id, "backup")), 0)
     assert trial.scene.table[0] == FORMER_BANK
     go_to(trial, S.COMPLETE)
+
+
+def test_a_resumed_run_whose_proof_is_broken_off_is_taken_back_although_a_later_run_read_the_table(
+    trial: RequestTrial,
+) -> None:
+    perform(trial, "start", *CALIBRATE)
+    go_to(trial, S.MEASURING)
+    while trial.scene.owner.status().balls < 1:
+        perform(trial, "go_on", 1, 30)
+    cut(trial)
+    go_to(trial, S.FAULTED)
+    connect(trial)
+    perform(trial, "reset")
+    perform(trial, "start", *CALIBRATE)
+    go_to(trial, S.MEASURING)
+    cut(trial)
+    go_to(trial, S.FAULTED)
+    connect(trial)
+    perform(trial, "reset")
+    perform(trial, "resume_run", 0)
+    go_to(trial, S.VERIFYING)
+    cut(trial)
+    go_to(trial, S.FAULTED)
+    connect(trial)
+    assert trial.scene.table[0] != FORMER_BANK
+    perform(trial, "reset")
+    assert trial.scene.table[0] == FORMER_BANK
+
+
+def test_a_table_that_the_controller_keeps_is_given_up_and_no_run_starts_before_it_is_taken_back(
+    trial: RequestTrial,
+) -> None:
+    perform(trial, "start", *CALIBRATE)
+    go_to(trial, S.VERIFYING)
+    perform(trial, "refuse_or_permit", 0)
+    perform(trial, "kill")
+    perform(trial, "reset")
+    perform(trial, "give_up")
+    assert trial.scene.owner.status().unfinished is None
+    perform(trial, "start", *CALIBRATE)
+    assert trial.at_rest
+    perform(trial, "refuse_or_permit", 1)
+    perform(trial, "restore_former")
+    assert trial.count.accepted["restore_former"] == 1
+    assert trial.scene.table[0] == FORMER_BANK

@@ -161,13 +161,17 @@ def test_a_run_that_a_kill_has_interrupted_can_be_given_up(tmp_path: Path) -> No
             assert again.post("/api/reset").status_code == 200
             left = again.status()
             assert (left["unfinished"], {"resume_run", "give_up"} <= set(left["may"])) == (run_id, True)
-            answer = again.post("/api/give-up-run")
-            assert answer.status_code == 200, answer.text
+            given_up = again.command("resume", "--give-up", "--json")  # asks the service, which owns the machine
+            assert given_up.returncode == 0, given_up.stderr
+            told = json.loads(given_up.stdout)
+            assert (told["run_id"], told["done"]) == (run_id, "nothing had to be done")
             now = again.status()
             assert (now["unfinished"], {"resume_run", "give_up"} & set(now["may"])) == (None, set())
             (run,) = again.get("/api/runs?limit=1")["runs"]
             assert (run["run_id"], run["state"], run["balls"] > 2) == (run_id, "aborted", True)
             assert again.post("/api/resume-run").status_code == 422
+            nothing = again.command("resume", "--give-up")
+            assert (nothing.returncode, "give_up is not allowed in state idle" in nothing.stderr) == (2, True)
 
 
 def test_a_lost_link_and_a_lost_table_are_told_between_runs_without_a_request(tmp_path: Path) -> None:

@@ -38,6 +38,10 @@ if will_run():
     from drivers.errors import StoreError
 
 
+NO_UNPROVED_TABLE = "no table was active that was never proved"
+"""What is printed as found if the service has given up a run that had activated no table."""
+
+
 @click.command("resume")
 @config_option
 @click.option(
@@ -97,15 +101,16 @@ def _show_and_exit(ended: RunResult, *, as_json: bool) -> None:
 def _settle(settings: Settings, base: Path, *, give_up: bool, as_json: bool) -> None:
     """Try to reactivate the previous table, print what was found and done, and with `give_up` end the run.
 
-    A service that tells of an unproved table does it; otherwise it is done in this process.
+    If the service is running, it does it; otherwise it is done in this process.
     """
     answered = settled_by_service(settings, give_up=give_up)
     if answered is not None:
-        former, now = answered["former"]["unproved"], answered["now"]
-        found, done = CompensationState.UNPROVED.value, ReconcileAction.RESTORED.value
-        _print_settled(
-            former["run_id"], found, done, "", now["active_bank"], now["written_not_active"], as_json=as_json
-        )
+        former, now = answered["former"], answered["now"]
+        run, found, done = former["unfinished"], NO_UNPROVED_TABLE, ReconcileAction.NOTHING.value
+        if former["unproved"] is not None:
+            run, found = former["unproved"]["run_id"], CompensationState.UNPROVED.value
+            done = ReconcileAction.RESTORED.value
+        _print_settled(run, found, done, "", now["active_bank"], now["written_not_active"], as_json=as_json)
         return
     with (
         run_lock(settings.state_directory, "to be given up" if give_up else "whose former table is reactivated"),

@@ -93,10 +93,11 @@ def resumed_by_service(settings: Settings) -> bool:
 
 def settled_by_service(settings: Settings, *, give_up: bool) -> Mapping[str, Any] | None:
     """Request the service to reactivate the former table in place of an unproved one, and with `give_up` to end the
-    run.
+    unfinished run.
 
-    Return the status of the service before and after it, as `former` and `now`. Return None if no service is running or
-    if it knows of no unproved table. Raises StoreError if the table is still active.
+    Return the status of the service before and after it, as `former` and `now`. Return None if no service is running.
+    Raises StoreError if the table is still active, and NotAllowedInState if the service knows of no unproved table and,
+    with `give_up`, of no unfinished run, or if it waits for a reset.
     """
     try:
         client = Client(settings)
@@ -104,7 +105,5 @@ def settled_by_service(settings: Settings, *, give_up: bool) -> Mapping[str, Any
         return None
     with client:
         former = client.get("/api/status")
-        if former["unproved"] is None:
-            return None
         client.post("/api/give-up-run" if give_up else "/api/unproved-table/restore")
         return {"former": former, "now": client.get("/api/status")}

@@ -109,6 +109,7 @@ class Owner:
         running = self._reserve()
         try:
             self.reconcile()
+            self._require_proved_table()
             kind = Restoration(run_id, next(known for known in TABLE_ROLES if known == role))
             hooks = self._hooks.hooks(running, job.settings.clock, attended=True)
         except BaseException:
@@ -155,12 +156,14 @@ class Owner:
                 "a run can also be given up while it is unfinished",
             )
             self._note(_SETTLING[what], by)
+            given_up = self._board.status().unfinished
             found = act(self.settings, self._parts.config.parent)
             self._show(found)
             if found.unproved is not None:
                 refused = f": {found.refused}" if found.refused else ""
                 raise StoreError(f"{found.unproved.situation}{refused}", hint=found.instruction)
-            if what == allowed_requests.GIVE_UP and found.unfinished is not None:
+            left = found.unfinished  # an earlier run may be unfinished, too
+            if what == allowed_requests.GIVE_UP and left is not None and given_up in (None, left.run_id):
                 raise StoreError(f"the run is still unfinished: {found.state.value}", hint=found.instruction)
 
     def hold(self, by: str = "") -> None:
@@ -345,6 +348,13 @@ class Owner:
         if self._running is not None:
             raise Busy(f"run {self._running.run_id} is in progress", hint="wait until it ends or abort it")
 
+    def _require_proved_table(self) -> None:
+        """Raise PlanRefused if a table is active that was never proved and could not be taken back. A new run would
+        take it for the intended compensation of the machine."""
+        unproved = self._board.status().unproved
+        if unproved is not None:
+            raise PlanRefused(unproved.situation, hint=unproved.way_out)
+
     def _require_reset(self) -> None:
         status = self._board.status()
         if status.state not in allowed_requests.STICKY:
@@ -381,9 +391,10 @@ class Owner:
 
     def _slot_minutes(self, request: RunRequest) -> float | None:
         """Return the available machine time in min, or None if it is not limited. Raise GateRefused or
-        PermissionMissing if a run without consent may not start now.
+        PermissionMissing if a run without consent may not start now, and PlanRefused if no run may.
         """
         self.reconcile()
+        self._require_proved_table()
         slots = [request.slot_minutes, None if request.consent else self._unattended_minutes()]
         return min((slot for slot in slots if slot is not None), default=None)
 

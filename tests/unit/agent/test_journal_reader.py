@@ -130,6 +130,29 @@ def test_the_active_table_is_a_staged_one_only_if_it_was_accepted(state: Path) -
     assert image.same_as(TABLE)
 
 
+def test_the_run_that_was_resumed_last_is_the_last_that_read_the_compensation(tmp_path: Path) -> None:
+    journal, clock = Journal(tmp_path), VirtualClock()
+    for number, run_id in enumerate((FIRST, SECOND), 1):
+        run = journal.start_run(run_id, "calibrate", {}, "1.0", clock)
+        run.state(RunState.PREFLIGHT)
+        run.table("backup", number, None)
+        run.state(RunState.FAULTED, final=True)
+    with open_journal(tmp_path) as reader:
+        assert [row.bank for row in (reader.last_backup(), reader.last_active_table(())) if row] == [2, 2]
+    resumed = journal.continue_run(1, FIRST, clock)[0].aside()
+    resumed.state(RunState.RESUMING)
+    resumed.table("staged", 3, TABLE)
+    with open_journal(tmp_path) as reader:
+        assert [row.bank for row in (reader.last_backup(), reader.last_active_table(())) if row] == [1, 1]
+    resumed.aside().table("restored", 1, None)
+    resumed.decision("accepted", {"crc32": 7})
+    journal.close()
+    with open_journal(tmp_path) as reader:
+        active = reader.last_active_table({"accepted"})
+    assert active is not None
+    assert active.bank == 3
+
+
 def test_reading_creates_nothing_and_raises_the_error_of_the_caller(tmp_path: Path) -> None:
     assert not has_journal(tmp_path)
     for failure in (InputError, JournalFailed):

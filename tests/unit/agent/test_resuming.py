@@ -265,6 +265,17 @@ def test_a_run_refused_before_it_began_does_not_hide_an_interrupted_one(journal:
     assert not found.resumable
 
 
+def test_an_interrupted_restoration_cannot_be_resumed(journal: Journal, tmp_path: Path) -> None:
+    run = journal.start_run("run-1", "restore", {}, "0", VirtualClock())
+    run.origin({})
+    run.begun()
+    run.begin(ActivateBank("restore-table/activate", 1))
+    run.state(RunState.RESTORING)
+    found = unfinished_run(tmp_path)
+    assert found is not None
+    assert "ask for the restoration again" in found.refusal
+
+
 def later_run(journal: Journal, *steps: Step) -> RunJournal:
     """Begin a second run, which carries out `steps` and then loses a link."""
     run = journal.start_run("run-2", "calibrate", {}, "0", VirtualClock())

@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 from service_house import House, house
 
-from agent.errors import NotAllowedInState
+from agent.errors import NotAllowedInState, PlanRefused
 from agent.execution.states import RunState
 from agent.runs.reconcile_result import CompensationState, ReconcileAction, Reconciliation
+from agent.runs.run_request import RunRequest
 from agent.runs.unfinished_run import UnfinishedRun
 from agent.runs.unproved_table import UnprovedTable
 from agent.service.gateway.gateway import GatewayFacts, _gateway_values
@@ -91,6 +92,16 @@ def test_a_reset_tries_to_restore_again(tmp_path: Path) -> None:
         assert built.owner.status().alarms == ()
 
 
+def test_no_run_starts_while_the_controller_keeps_the_unproved_table(tmp_path: Path) -> None:
+    with house(tmp_path) as built:
+        left(built)
+        built.machine.found.append(LEFT)
+        with pytest.raises(PlanRefused, match="bank 2 is active") as refused:
+            built.owner.start(RunRequest(kind="calibrate", source="page", consent=True))
+        assert TABLE.way_out in refused.value.hint
+        assert (built.owner.busy, built.owner.status().state) == (False, RunState.IDLE)
+
+
 def test_giving_up_is_carried_out_or_says_what_to_do_at_the_controller(tmp_path: Path) -> None:
     ended = UnprovedTable(TABLE.run_id, 2, 1, provable=False)
     given_up = Reconciliation(
@@ -124,6 +135,15 @@ def test_an_unfinished_run_can_be_given_up(tmp_path: Path) -> None:
         after = built.owner.status()
         assert after.unfinished is None
         assert not after.may & {"resume_run", "give_up"}
+
+
+def test_an_earlier_unfinished_run_is_offered_once_the_later_one_is_given_up(tmp_path: Path) -> None:
+    earlier = replace(UNFINISHED, run_id="20261128T013000Z-ab12")
+    with house(tmp_path) as built:
+        built.machine.found.extend([replace(AS_IT_WAS, unfinished=one) for one in (UNFINISHED, earlier)])
+        built.owner.reconcile()
+        built.owner.give_up()
+        assert built.owner.status().unfinished == earlier.run_id
 
 
 def test_a_run_that_cannot_be_ended_stays_unfinished(tmp_path: Path) -> None:
