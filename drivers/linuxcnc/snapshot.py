@@ -97,7 +97,7 @@ def parse_snapshot(status: dict[str, Any], mm_per_unit: float, where: dict[str, 
             pins=tuple(status["pins"]),
             **{name: status[name] for name in _COPIED_FIELDS},
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise ProtocolError(f"the bridge's status cannot be read: {cause_of(error)}", **where) from error
 
 

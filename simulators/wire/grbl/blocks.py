@@ -270,6 +270,8 @@ class BlockParser:
     ) -> GrblModalState:
         if not {"P", "L"} <= set(values):
             raise BlockError(VALUE_MISSING)
+        if not np.isfinite(values["P"]):  # a number of hundreds of digits
+            raise BlockError(UNSUPPORTED_COORDINATES)
         system = int(values["P"]) + 53 if values["P"] else modes.coordinates
         if values["L"] not in (2, 20) or system not in self.offsets.systems:
             raise BlockError(UNSUPPORTED_COORDINATES if system not in self.offsets.systems else UNSUPPORTED)

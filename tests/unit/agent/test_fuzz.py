@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import signal
 import sqlite3
@@ -16,13 +17,14 @@ from journaled import journaled
 from structlog.testing import capture_logs
 
 from agent.execution.journal_schema import FILE_NAME
+from campaigns.fuzz.catalogue import quick_decoders
 from campaigns.fuzz.device_decoders import device_decoders
 from campaigns.fuzz.file_decoders import file_decoders
 from campaigns.fuzz.journal_decoder import read_everything
 from campaigns.fuzz.mutation import mutated
 from campaigns.fuzz.state_decoders import state_decoders
 from campaigns.fuzz.trial import LARGEST_GROWTH_BYTES, Decoder, excesses, tried
-from campaigns.fuzz.wire_decoders import wire_decoders
+from campaigns.fuzz.wire_decoders import SNAPSHOT, wire_decoders
 
 COUNT, SEED = 60, 1
 
@@ -47,6 +49,7 @@ def test_no_input_raises_anything_outside_the_error_tree(decoder: Decoder) -> No
 
 
 NESTED = b"[" * 3000
+LONG_OFFSET = json.dumps({"id": 1, "ok": SNAPSHOT | {"program_offset": [0.0, 10**400, 0.0]}}).encode()
 NODE_SET_NAMESPACE = b"http://opcfoundation.org/UA/2011/03/UANodeSet.xsd"
 LONG_VERSION = (
     b'<UANodeSet xmlns="%s"><Models><Model ModelUri="http://opcfoundation.org/UA/DI/" Version="%s"/></Models>'
@@ -64,11 +67,13 @@ LONG_VERSION = (
         ("problem told by the service (JSON)", b'{"where": {"hint": "a", "message": "b", "self": "c"}}'),
         ("events of the service", b"event: status\ndata: " + NESTED + b"\n\n"),
         ("head of an OPC UA node set (XML)", b'<?xml version="1.0" encoding="utf-9"?><UANodeSet/>'),
+        ("line of the LinuxCNC bridge", LONG_OFFSET),
+        ("line of G-code to the simulator", b"G10L2P" + b"9" * 400 + b"X1"),
         ("head of an OPC UA node set (XML)", LONG_VERSION % (NODE_SET_NAMESPACE, b"1." + b"9" * 5000)),
     ],
 )
 def test_what_was_once_raised_outside_the_error_tree_is_refused_in_words(name: str, data: bytes) -> None:
-    (decoder,) = (one for one in state_decoders() if one.name == name)
+    (decoder,) = (one for one in quick_decoders() if one.name == name)
     with suppress(*decoder.allowed):
         decoder.decode(data)
 
