@@ -124,19 +124,23 @@ endurance: setup
 	$(BIN)/python -m campaigns.endurance --runs $(RUNS) --minutes $(MINUTES)
 
 # Two runs with write-back whose process is killed at some 700 points: at commits of the journal, around commands, in
-# motions. Half an hour of CPU time; ends with one line of JSON. EVERY=1: each point, half a day.
+# motions. Half an hour of CPU time; ends with one line of JSON. EVERY=1: each point, half a day. KIND=processes: the service
+# and the simulated machine, as real processes, at KILLS points.
 EVERY ?= 30
 EVERY_OTHER ?= 1
+KIND ?= run
+KILLS ?= 500
 crash-points: setup
-	$(BIN)/python -m campaigns.crash_points --every $(EVERY) --every-other $(EVERY_OTHER) --seed $(SEED) --workers 2
+	$(BIN)/python -m campaigns.crash_points --kind $(KIND) --kills $(KILLS) --every $(EVERY) --every-other $(EVERY_OTHER) \
+		--seed $(SEED) --workers 2
 
 # Power cuts at each system call of a process that writes a journal, replayed on a disk that loses what was not synchronised.
 power-cuts: setup
 	.ci/install strace
 	$(BIN)/python -m campaigns.power_cuts --seed $(SEED)
 
-# Random requests to the owner of the machine at all moments of real runs in virtual time, with a link that fails. An hour
-# or two; ends with one line of JSON.
+# Random requests to the owner of the machine at all moments of real runs in virtual time, with a link that fails, a
+# controller that refuses and a service that is killed. Some hours; ends with one line of JSON.
 STEPS ?= 100000
 requests: setup
 	$(BIN)/python -m campaigns.requests --steps $(STEPS) --seed $(SEED)

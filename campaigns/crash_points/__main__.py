@@ -1,13 +1,22 @@
 """Trial of a run with write-back whose process is killed at many points. The output ends with one line of JSON.
 
     python -m campaigns.crash_points [--every 1] [--every-other 1] [--seed 1] [--workers 2]
+    python -m campaigns.crash_points --kind processes [--kills 500] [--seed 1]
 
-The run consists of probe check, qualification, measuring, identification, staging, activation and verification, with
-the table of an earlier run active. Its journal is a file. In the first run the new table is accepted; the second one is
-aborted while it verifies the new table, so that the former one is restored. Crash points are before and after each
-commit of the journal, before and after each command to the controller or the mount, and in the middle of each motion.
-At each point the process is forked, and the run in the copy ends there. After some seconds of machine time volcal is
-started again, or the run is resumed, or it is given up; then it is judged by the invariants of `campaigns.faults`.
+With `--kind processes`, the command `volcal serve` and the simulated machine are processes that reach each other over
+TCP, and die by SIGKILL. The service dies before or after a commit of its journal or a write to the controller, in
+calibrations, in restorations of a table, and while it starts again; the machine dies before or after it begins, takes
+a block of, commits, arms or activates a table, and has lost its activation after every other kill. The command then
+starts the service again; the end of the run is acknowledged, and the run is resumed, or given up, by a request or by
+`volcal resume` beside the service.
+
+With `--kind run`, which is the default, the run consists of probe check, qualification, measuring, identification,
+staging, activation and verification, with the table of an earlier run active. Its journal is a file. In the first run
+the new table is accepted; the second one is aborted while it verifies the new table, so that the former one is
+restored. Crash points are before and after each commit of the journal, before and after each command to the controller
+or the mount, and in the middle of each motion. At each point the process is forked, and the run in the copy ends there.
+After some seconds of machine time volcal is started again, or the run is resumed, or it is given up; then it is judged
+by the invariants of `campaigns.faults`.
 
 `--every K` selects one point in K while the run measures, and `--every-other K` one in K of the others, at random. The
 exit code is 0 only if no invariant is violated.
@@ -24,18 +33,25 @@ from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from multiprocessing import get_context
+from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # must be set before numpy is imported
 
+from benchmarks.places import memory_directory
 from campaigns.crash_points.crash_recorder import PointSelection
 from campaigns.crash_points.killed_runs import ACCEPTED, RUNS, play_run
+from campaigns.crash_points.process_kills import ProcessKill, play_processes
+from campaigns.crash_points.process_kills import violations as process_violations
 from campaigns.faults.night_record import INVARIANTS, NightRecord, violations
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kind", choices=("run", "processes"), default="run", help="what is killed")
+    parser.add_argument("--kills", type=int, default=500, help="number of kills of processes")
+    parser.add_argument("--wall-minutes", type=float, default=float("inf"), help="longest duration of such kills")
     parser.add_argument("--every", type=int, default=1, metavar="K", help="kill at one point in K while it measures")
     parser.add_argument("--every-other", type=int, default=1, metavar="K", help="kill at one other point in K")
     parser.add_argument("--only-accepted", action="store_true", help="leave out the run that is aborted")
@@ -43,6 +59,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--workers", type=int, default=2, help="number of processes")
     given = parser.parse_args(arguments)
     began = perf_counter()
+    if given.kind == "processes":
+        result = kill_processes(given.seed, given.kills, given.wall_minutes)
+        print(json.dumps({**result, "wall_seconds": round(perf_counter() - began, 1)}, allow_nan=False))
+        return 0 if result["passed"] else 1
     selections = [
         PointSelection(given.seed, given.every, given.every_other, share, given.workers)
         for share in range(given.workers)
@@ -65,6 +85,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
     result |= {"cpu_s": round(cpu_s, 1), "wall_seconds": round(perf_counter() - began, 1)}
     print(json.dumps(result, allow_nan=False))
     return 0 if result["passed"] else 1
+
+
+def kill_processes(seed: int, kills: int, minutes: float) -> dict[str, Any]:
+    """Kill the service and the machine so often, or for so many minutes, and return the totals."""
+
+    def notice(kill: ProcessKill) -> None:
+        print(json.dumps(asdict(kill)), flush=True)
+
+    with memory_directory("crash-processes") as name:
+        found = play_processes(Path(name), seed, kills, minutes, notice)
+    violated = process_violations(found.kills)
+    kinds = Counter(f"{one.victim}, {one.point.split(':')[0]}" for one in found.kills)
+    return {
+        "passed": bool(found.kills) and not any(violated.values()),
+        "kills": len(found.kills),
+        "kills_by_kind": dict(sorted(kinds.items())),
+        "kills_by_work": dict(Counter(f"{one.victim}, {one.doing}" for one in found.kills)),
+        "resumed": found.resumed,
+        "given_up": found.given_up,
+        "accepted": found.accepted,
+        "left_to_a_person": found.left_to_a_person,
+        "violations": dict(violated),
+    }
 
 
 def summarise(counted: Counter[str], records: Sequence[tuple[str, NightRecord]]) -> dict[str, Any]:
