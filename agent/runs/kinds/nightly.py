@@ -238,7 +238,7 @@ def _further(running: _Night, measured: MeasuredPositions, count: int, left: flo
 def _only(running: _Night, measured: MeasuredPositions, prefix: str, positions: Sequence[Position], _: Job) -> RunPlan:
     """Return the plan that measures only `positions`, which were chosen during the night, for a preflight.
 
-    The readings of the thermometers are left out: the machine of the preflight has a temperature and a clock of its own.
+    The readings of the thermometers are left out: the machine of the preflight has its own temperature and clock.
     """
     order = running.task.plan.order(prefix, positions)
     yield from measure_positions(order, running.job.layout, running.ready.rules, measured.mount_poses)
