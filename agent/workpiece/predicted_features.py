@@ -19,7 +19,7 @@ from twin.workpiece.feature_file import parse_features
 from twin.workpiece.placement import Placement
 from twin.workpiece.prediction import FeatureError, FeaturePrediction, predict_features
 
-RULE = "ISO 14253-1 with the guard band U (k = 2)"
+RULE = "ISO 14253-1:2017, conformance probability limit 97.5 %"
 
 
 @dataclass(frozen=True)

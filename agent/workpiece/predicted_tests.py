@@ -12,10 +12,14 @@ from agent.files import translated
 from agent.workpiece.estimate_and_table import read_estimate_and_table
 from agent.workpiece.predicted_features import error_document
 from twin.arrays import Array
+from twin.machine.error_model import Ranges
 from twin.units import UM_PER_MM
 from twin.workpiece.acceptance import PredictedTest, acceptance_tests, predict_tests
+from twin.workpiece.features import Measure
 
 _DIGITS = 4
+_RADII_MM = (150.0, 100.0, 50.0, 25.0, 10.0)
+"""Usual radii of ballbars and of circles on a grid plate."""
 
 
 @dataclass(frozen=True)
@@ -66,14 +70,20 @@ def predict_acceptance(request: AcceptanceRequest) -> PredictedTests:
     known = read_estimate_and_table(request.estimate, request.table, request.without_table, request.tool_offset_mm)
     ranges = known.estimate.model.ranges_mm
     centre = np.array(request.centre_mm or np.mean(ranges, axis=1))
+    radii_mm = request.radii_mm or (_fitting_radius(ranges, centre),)
     with translated():
-        tests = acceptance_tests(ranges, known.tool_offset_mm, centre, request.radii_mm)
+        tests = acceptance_tests(ranges, known.tool_offset_mm, centre, radii_mm)
         predicted = predict_tests(known.estimate, tests, known.tool_offset_mm, known.table)
     return PredictedTests(predicted, centre, known.tool_offset_mm, known.table_file)
 
 
+def _fitting_radius(ranges: Ranges, centre: Array) -> float:
+    """Return the largest of the usual radii in mm with which the circles stay inside the travel, or the smallest."""
+    room = float(min(np.min(np.abs(np.array(ranges).T - centre), axis=0)))
+    return next((radius for radius in _RADII_MM if radius <= room), _RADII_MM[-1])
+
+
 def _document(one: PredictedTest) -> dict[str, Any]:
-    circle = one.test.standard == "ISO 230-4"
     with_table = one.figure.with_table
     return {
         "standard": one.test.standard,
@@ -81,6 +91,13 @@ def _document(one: PredictedTest) -> dict[str, Any]:
         "meaning": one.test.title,
         "without_table": _figure(error_document(one.figure.without_table)),
         "with_table": None if with_table is None else _figure(error_document(with_table)),
+        **(_curve(one) if one.test.feature.measure is Measure.RANGE else {}),
+    }
+
+
+def _curve(one: PredictedTest) -> dict[str, Any]:
+    circle = one.test.standard == "ISO 230-4"
+    return {
         "angle_rad" if circle else "position_mm": np.round(one.test.along, _DIGITS).tolist(),
         "curve_um": _um(one.curve_mm),
         "curve_with_table_um": None if one.corrected_mm is None else _um(one.corrected_mm),

@@ -1,1 +1,1 @@
-"""Prediction of the errors of the features of a workpiece that is machined, or measured, on an identified machine."""
+"""Prediction of the errors of the features of a workpiece that is machined on an identified machine."""

@@ -125,7 +125,9 @@ def _positioning(low: Array, high: Array, centre: Array) -> Iterator[AcceptanceT
     for axis, name in enumerate(AXES):
         points, along = _line(low, high, centre, axis)
         displaced = _from_mean(len(points)) @ _component(len(points), np.eye(3)[axis])
-        yield _ranged("ISO 230-2", f"M {name}", f"mean positioning deviation of {name}", points, along, displaced)
+        yield _ranged(
+            "ISO 230-2", f"M {name}", f"range of the mean positioning deviations of {name}", points, along, displaced
+        )
 
 
 def _straightness(low: Array, high: Array, centre: Array) -> Iterator[AcceptanceTest]:
@@ -194,8 +196,8 @@ def _diagonals(low: Array, high: Array) -> Iterator[AcceptanceTest]:
         points = ends[0] + (along / length)[:, None] * (ends[1] - ends[0])
         displaced = _from_mean(len(points)) @ _component(len(points), (ends[1] - ends[0]) / length)
         mark = "".join("+" if sign > 0.0 else "-" for sign in direction)
-        title = f"mean positioning deviation along the diagonal {mark} of X, Y and Z"
-        yield _ranged("ISO 230-6", f"M {mark}", title, points, along, displaced)
+        title = f"range of the mean deviations along the body diagonal {mark} of X, Y and Z"
+        yield _ranged("ISO 230-6", f"diagonal {mark}", title, points, along, displaced)
 
 
 def _ranged(standard: str, name: str, title: str, points: Array, along: Array, deviations: Array) -> AcceptanceTest:

@@ -1,7 +1,7 @@
 """Search for the place on the table at which a workpiece gets the smallest errors.
 
 The criterion of a place is the largest share of its tolerance that any feature may use up, with an error at the end of
-its 95 % interval. Without tolerances it is the largest error itself.
+its 95 % interval: 1 at a limit, and more beyond it. Without tolerances it is the largest error itself.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from twin.workpiece.features import Feature
 from twin.workpiece.machine_field import MachineKnowledge
 from twin.workpiece.placement import Placement
 from twin.workpiece.prediction import FeatureError, predict_features
+
+_LEAST_SCALE_MM = 1e-3  # for a single limit at or near 0, which has no width
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,13 +83,10 @@ def _used(feature: Feature, error: FeatureError, of_tolerance: bool) -> float:
     limits = feature.tolerance
     if limits is None:
         return 0.0
-    middle = 0.0 if limits.lower_mm is None or limits.upper_mm is None else 0.5 * (limits.lower_mm + limits.upper_mm)
-    beyond = 0.0 if limits.upper_mm is None else error.high_mm - middle
-    short = 0.0 if limits.lower_mm is None else middle - error.low_mm
-    used = max(beyond, short)
-    if limits.width_mm > 0.0:
-        return used / limits.width_mm
-    return np.inf if used > 0.0 else 0.0  # the one limit is 0
+    scale_mm = max(limits.half_width_mm, _LEAST_SCALE_MM)
+    beyond = [] if limits.upper_mm is None else [error.high_mm - limits.upper_mm]
+    short = [] if limits.lower_mm is None else [limits.lower_mm - error.low_mm]
+    return 1.0 + max(*beyond, *short, -np.inf) / scale_mm
 
 
 def _reachable(

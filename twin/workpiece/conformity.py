@@ -1,9 +1,10 @@
-"""Decision rule for a predicted error and a tolerance, after ISO 14253-1 with the guard band U (k = 2).
+"""Decision rule for a predicted error and a tolerance, after ISO 14253-1:2017 with a conformance probability limit of
+97.5 % instead of the default of 95 %.
 
 A feature is stated to conform only if the probability that its error is outside the tolerance is at most 2.5 %, and
 stated not to conform only if the probability that it is inside is at most 2.5 %. For an error with a normal
-distribution and one limit, this is the guard band of the expanded uncertainty: conformity is stated up to the limit
-minus 1.96 standard uncertainties. In between, nothing is stated.
+distribution and one limit, conformity is stated up to the limit minus 1.96 standard uncertainties, which is close to
+the guard band U (k = 2) of former editions. In between, nothing is stated.
 """
 
 from __future__ import annotations

@@ -36,8 +36,9 @@ _DIRECTION = ("i", "j", "k")
 _SIZES = ("size_mm", "width_mm")
 _LIMITS = ("lower_um", "upper_um")
 OPTIONAL_COLUMNS = (*_SECOND, *_DIRECTION, *_SIZES, *_LIMITS)
-MOST_FEATURES = 20_000
+MOST_FEATURES = 2000
 _LARGEST_MM = 1e5
+_LONGEST_NAME = 100
 _USED = {
     FeatureKind.DATUM: (),
     FeatureKind.POINT: (*_DIRECTION, *_LIMITS),
@@ -79,6 +80,8 @@ def _feature(row: CsvRow) -> Feature:
     name, kind = row.cells["name"], _kind(row)
     if not name:
         raise row.error("the cell is empty", "name", "Give each feature a name")
+    if not name.isprintable() or len(name) > _LONGEST_NAME:
+        raise row.error(f"a name has at most {_LONGEST_NAME} printable characters", "name")
     for column in OPTIONAL_COLUMNS:
         if row.cells[column] and column not in _USED[kind]:
             used = ", ".join(_USED[kind]) or "no further columns"

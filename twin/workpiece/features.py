@@ -24,7 +24,7 @@ _PARALLEL = 0.9  # of the cosine between the direction of a face and the axis fr
 
 
 class FeatureKind(StrEnum):
-    """FeatureKind of a feature; the values are the words of a feature file."""
+    """Kind of a feature; the values are the words of a feature file."""
 
     POINT = "point"
     DISTANCE = "distance"
@@ -65,7 +65,7 @@ class Tolerance:
             raise DataError("the lower limit of a tolerance must be below the upper one", hint="Exchange the limits")
 
     @property
-    def width_mm(self) -> float:
+    def half_width_mm(self) -> float:
         """Half of the range between the limits, or the distance from 0 of the one limit that is set."""
         limits = [limit for limit in (self.lower_mm, self.upper_mm) if limit is not None]
         return abs(limits[0]) if len(limits) == 1 else 0.5 * (limits[1] - limits[0])

@@ -11,6 +11,8 @@ from twin.errors import DataError
 from twin.machine.error_model import Ranges
 from twin.machine.kinematic_chain import AXES
 
+_SLACK_MM = 1e-6  # points on the edge of the travel leave it by rounding when the tool offset is added and subtracted
+
 
 @dataclass(frozen=True, eq=False)
 class Placement:
@@ -40,7 +42,7 @@ def outside(axis_positions: Array, ranges_mm: Ranges) -> tuple[str, float, tuple
     None if all are inside."""
     for axis, values, (low, high) in zip(AXES, axis_positions.T, ranges_mm, strict=True):
         for value in (values.min(), values.max()):
-            if not low <= value <= high:
+            if not low - _SLACK_MM <= value <= high + _SLACK_MM:
                 return axis, float(value), (low, high)
     return None
 

@@ -8,7 +8,7 @@ forces, wear, the temperature of the workpiece and its clamping are not part of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -28,6 +28,7 @@ from twin.workpiece.placement import Placement, check_inside
 COVERAGE_FACTOR = 2.0
 COVERAGE = 0.95
 _NORMAL_QUANTILE = 1.959964  # ends of the interval that contains 95 % of a normal distribution
+_BLOCK_POINTS = 3000
 _DRAWS = 2000  # the ends of a 95 % interval scatter by some per cent of its width
 _SEED = 20  # the same draws for all features: equal features get equal figures
 _RIGID_MOTIONS = 6
@@ -84,12 +85,37 @@ def predict_features(
     for feature in features:
         check_inside(feature.name, placement.in_machine(feature.points) - tool_offset, estimate.model.ranges_mm)
     datum = _datum(features, placement)
-    own = [placement.in_machine(feature.points) for feature in judged]
+    found: list[FeaturePrediction] = []
+    for block in _blocks(judged):
+        found += _predicted(estimate, block, datum, placement, tool_offset, table)
+    return tuple(found)
+
+
+def _blocks(features: Sequence[Feature]) -> Iterator[Sequence[Feature]]:
+    """Yield the features in blocks of which each fits into memory with the derivatives at its points."""
+    block: list[Feature] = []
+    for feature in features:
+        if block and sum(len(one.points) for one in block) + len(feature.points) > _BLOCK_POINTS:
+            yield block
+            block = []
+        block.append(feature)
+    yield block
+
+
+def _predicted(
+    estimate: MachineKnowledge,
+    features: Sequence[Feature],
+    datum: _Datum | None,
+    placement: Placement,
+    tool_offset: Array,
+    table: CompensationTable | None,
+) -> Iterator[FeaturePrediction]:
+    own = [placement.in_machine(feature.points) for feature in features]
     points = np.concatenate(own if datum is None else [*own, datum.points])
     field = MachineField.at(estimate, points - tool_offset, tool_offset)
     corrections = None if table is None else table.at(points - tool_offset).reshape(-1)
-    found, start = [], 0
-    for feature, at in zip(judged, own, strict=True):
+    start = 0
+    for feature, at in zip(features, own, strict=True):
         used = np.arange(start, start + at.size)
         start += at.size
         weights = feature.matrix.reshape(-1, 3) @ placement.rotation.T
@@ -101,8 +127,7 @@ def predict_features(
         spread = field.spread_of(operator, used)
         without = error_of(feature, numbers, spread)
         corrected = None if corrections is None else error_of(feature, numbers + operator @ corrections[used], spread)
-        found.append(FeaturePrediction(feature, without, corrected))
-    return tuple(found)
+        yield FeaturePrediction(feature, without, corrected)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +168,8 @@ def error_of(feature: Feature, numbers: Array, spread: Spread) -> FeatureError:
     """Return the error of a feature from its expected `numbers` (k,) in mm and their spread."""
     if feature.measure is Measure.SIGNED:
         return _signed_error(float(numbers[0]), float(np.sqrt(spread.whole[0, 0])), feature.tolerance)
-    # Nobody knows the shape of the scatter, and uncorrelated it adds the most: the lower ends count none of it.
+    # Scatter that is independent at each point makes these errors larger than scatter of any other shape. Its true
+    # shape is not known: the upper end counts all of it, the lower end none.
     least, most = (_magnitudes(feature.measure, numbers, one) for one in (spread.smooth, spread.whole))
     low = float(np.quantile(least, 0.5 * (1.0 - COVERAGE)))
     high = float(np.quantile(most, 0.5 * (1.0 + COVERAGE)))

@@ -18,12 +18,10 @@ from agent.cli.triples import point_in_mm
 if will_run():
     from rich.console import Console
 
+    from agent.cli.offline_commands.error_cells import UNCERTAINTY_HEADING, error_cells
     from agent.cli.printing import columns_table, results_console
     from agent.files import write_all_atomically
     from agent.workpiece.predicted_tests import AcceptanceRequest, PredictedTests, predict_acceptance
-    from twin.units import UM_PER_MM
-    from twin.workpiece.features import Measure
-    from twin.workpiece.prediction import FeatureError
 
 NAME = "acceptance"
 
@@ -45,10 +43,8 @@ NAME = "acceptance"
     "radii",
     type=click.FloatRange(min=1.0, max=1e5),
     multiple=True,
-    default=(150.0,),
-    show_default=True,
     metavar="MM",
-    help="Radius of the circles; repeat the option for several.",
+    help="Radius of the circles; repeat the option for several [default: 150, or less if the travel is short].",
 )
 @click.option(
     "--tool-offset",
@@ -94,20 +90,15 @@ def _show(found: PredictedTests, console: Console) -> None:
     states = ("without table", "with table") if found.table is not None else ("without table",)
     headings = ["standard", "figure", "meaning"]
     for state in states:
-        headings += [f"{state} / µm", "U (k = 2)"]
+        headings += [f"{state} / µm", UNCERTAINTY_HEADING]
     shown = columns_table(headings, whole=("standard", "figure"), numbers=headings[3:])
     for one in found.tests:
         cells = [one.test.standard, one.test.feature.name, one.test.title]
-        signed = one.test.feature.measure is Measure.SIGNED
         for error in (one.figure.without_table, one.figure.with_table):
             if error is not None:
-                cells += _cells(error, signed=signed)
+                cells += error_cells(one.test.feature, error)
         shown.add_row(*cells)
     console.print(shown)
     console.print(
         "Geometry alone: without reversal, repeatability and the servo errors of a moving ballbar.", markup=False
     )
-
-
-def _cells(error: FeatureError, *, signed: bool) -> list[str]:
-    return [f"{UM_PER_MM * error.expected_mm:{'+' if signed else ''}.2f}", f"{UM_PER_MM * error.expanded_mm:.2f}"]

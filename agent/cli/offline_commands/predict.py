@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+from collections.abc import Iterable
 from math import degrees, radians
 from pathlib import Path
 
@@ -23,13 +24,14 @@ if will_run():
     from rich.console import Console
     from rich.markup import escape
 
+    from agent.cli.offline_commands.error_cells import UNCERTAINTY_HEADING, error_cells
     from agent.cli.printing import columns_table, results_console
     from agent.files import write_all_atomically, write_atomically
     from agent.workpiece.predicted_features import RULE, PredictedFeatures, PredictionRequest, csv_lines, predict_file
     from twin.units import UM_PER_MM
     from twin.workpiece.best_place import PlaceMap
     from twin.workpiece.conformity import Conformity
-    from twin.workpiece.features import Feature, Measure, Tolerance
+    from twin.workpiece.features import Tolerance
     from twin.workpiece.placement import Placement
     from twin.workpiece.prediction import FeatureError
 
@@ -110,6 +112,7 @@ def predict_command(
         raise click.UsageError("--table and --no-table exclude each other")
     if (origin is None) != (height is not None):
         raise click.UsageError("--height belongs to --at best, which needs it")
+    _check_outputs([out, map_file], [features, estimate, table])
     found = predict_file(
         PredictionRequest(
             features=features,
@@ -133,11 +136,19 @@ def predict_command(
         click.echo(json.dumps(found.as_json(), allow_nan=False))
     else:
         _show(found, results_console())
-    if not all(_decided(one.with_table or one.without_table) for one in found.predictions):
+    if not all(_is_accepted(one.with_table or one.without_table) for one in found.predictions):
         raise SystemExit(4)
 
 
-def _decided(error: FeatureError) -> bool:
+def _check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path | None]) -> None:
+    """Raise BadParameter if a result would replace a file that is read."""
+    read = {path.resolve() for path in inputs if path is not None}
+    for path in outputs:
+        if path is not None and path.resolve() in read:
+            raise click.BadParameter(f"'{path}' is read by this command and would be replaced; write to another file")
+
+
+def _is_accepted(error: FeatureError) -> bool:
     return error.conformity in {Conformity.CONFORMS, Conformity.NO_TOLERANCE}
 
 
@@ -160,29 +171,19 @@ def _show(found: PredictedFeatures, console: Console) -> None:
     states = ("without table", "with table") if found.table is not None else ("without table",)
     headings = ["feature", "kind", "tolerance / µm"]
     for state in states:
-        headings += [f"{state} / µm", "U (k = 2)", "conformity"]
-    shown = columns_table(
-        headings, whole=("feature",), numbers=[name for name in headings if "/ µm" in name or name == "U (k = 2)"]
-    )
+        headings += [f"{state} / µm", UNCERTAINTY_HEADING, "conformity"]
+    numbers = [name for name in headings if "/ µm" in name or name == UNCERTAINTY_HEADING]
+    shown = columns_table(headings, whole=("feature",), numbers=numbers)
     for one in found.predictions:
         limits = one.feature.tolerance
         cells = [escape(one.feature.name), one.feature.kind.value, _limits_text(limits)]
         for error in (one.without_table, one.with_table):
             if error is not None:
                 colour = _COLOURS[error.conformity.value]
-                cells += [
-                    _error_text(one.feature, error),
-                    f"{UM_PER_MM * error.expanded_mm:.2f}",
-                    f"[{colour}]{error.conformity.value}[/{colour}]",
-                ]
+                cells += [*error_cells(one.feature, error), f"[{colour}]{error.conformity.value}[/{colour}]"]
         shown.add_row(*cells)
     console.print(shown)
     console.print(f"Decision rule: {RULE}. Only the geometry of the machine is predicted.", markup=False)
-
-
-def _error_text(feature: Feature, error: FeatureError) -> str:
-    signed = feature.measure is Measure.SIGNED
-    return f"{UM_PER_MM * error.expected_mm:{'+' if signed else ''}.2f}"
 
 
 def _limits_text(limits: Tolerance | None) -> str:

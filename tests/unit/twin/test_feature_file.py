@@ -61,6 +61,7 @@ def test_columns_that_nothing_uses_may_be_missing() -> None:
         (f"{HEADER},i\n", {"row": "1", "column": "i"}, "appears more than once"),
         (f"{HEADER}\n{row(kind='slot')}", {"row": "2", "column": "kind"}, "'slot' is no kind of feature"),
         (f"{HEADER}\n{row(kind='point', name='')}", {"row": "2", "column": "name"}, "is empty"),
+        (f"{HEADER}\n{row(kind='point', name=chr(27) + '[2J')}", {"row": "2", "column": "name"}, "printable"),
         (f"{HEADER}\n{row(kind='point', x_mm='1,5')}", {"row": "2"}, "values, but the header names"),
         (f"{HEADER}\n{row(kind='point', x_mm='one')}", {"row": "2", "column": "x_mm"}, "is not a number"),
         (f"{HEADER}\n{row(kind='point', x_mm=1e6)}", {"row": "2", "column": "x_mm"}, "no size of a workpiece"),

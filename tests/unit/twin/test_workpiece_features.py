@@ -7,6 +7,8 @@ from functools import partial
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.stats import chi, norm
 
 from campaigns.features.true_features import draw
@@ -183,6 +185,49 @@ def test_the_best_place_is_where_the_machine_errs_least() -> None:
 def test_what_cannot_be_predicted_is_said(features: list[Feature], said: str) -> None:
     with pytest.raises(DataError, match=said):
         predict_features(drawn_machine(), features, AT_ORIGIN, TOOL)
+
+
+@settings(max_examples=20)
+@given(st.lists(st.floats(-900.0, 900.0), min_size=6, max_size=6), st.floats(-3.0, 3.0))
+def test_what_reaches_to_the_edge_of_the_travel_can_be_predicted(numbers: list[float], turned_rad: float) -> None:
+    low = np.round(numbers[:3], 1)
+    ranges = tuple((float(one), float(one) + 1200.3) for one in low)
+    model, offset = replace(MODEL, ranges_mm=ranges), np.round(numbers[3:], 1)
+    known = Known(np.zeros(MODEL.size), model=model)
+    middle = np.mean(ranges, axis=1)
+    assert len(predict_tests(known, acceptance_tests(model.ranges_mm, offset, middle, (600.0,)), offset)) == 19
+    plate = [make.distance("d", [0.1, 0.7, 0.0], [300.3, 411.9, 0.0])]
+    at = Placement(np.array([0.0, 0.0, middle[2] + offset[2]]), turned_rad)
+    assert place_map(known, plate, at, offset, counts=(2, 2)).criterion.shape == (2, 2)
+
+
+@pytest.mark.parametrize(
+    ("lower_um", "upper_um", "smaller_um", "larger_um"),
+    [
+        (None, 12.0, 3.0, 9.0),
+        (None, 0.0, -2.0, 2.0),
+        (None, -5.0, -7.0, -4.0),
+        (5.0, None, 8.0, 4.0),
+        (-4.0, 4.0, 0.0, 5.0),
+    ],
+)
+def test_an_error_beyond_a_limit_uses_more_than_its_tolerance(
+    lower_um: float | None, upper_um: float | None, smaller_um: float, larger_um: float
+) -> None:
+    limits = Tolerance(*(None if one is None else one * UM for one in (lower_um, upper_um)))
+    parameters = np.zeros(MODEL.size)
+    parameters[MODEL.index("EXX[1]")] = 1.0
+    bar = make.distance("d", [0.0, 0.0, 0.0], [1000.0, 0.0, 0.0], limits)
+    per_unit = predicted(Known(parameters), bar)[0]
+    shares = [
+        float(
+            place_map(Known(parameters * error * UM / per_unit), [bar], AT_ORIGIN, TOOL, counts=(1, 1)).criterion[0, 0]
+        )
+        for error in (smaller_um, larger_um)
+    ]
+    assert shares[0] < shares[1] < np.inf
+    assert (shares[1] > 1.0) == (larger_um != 9.0)
+    assert shares[0] < 1.0
 
 
 def test_a_workpiece_that_fits_nowhere_is_said() -> None:
