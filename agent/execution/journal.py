@@ -31,6 +31,8 @@ from drivers.errors import ConfigurationError
 from drivers.foreign_errors import cause_of
 from drivers.roles import TableImage
 
+_WAIT_FOR_WRITER_S = 30.0
+"""Longest wait for another writer: the service records requests during a run, and a slow disk must not end the run."""
 _DISK_HINT = "check the disk under `state_directory`"
 
 
@@ -38,7 +40,8 @@ class Journal:
     """Journal, the database of all runs. It is a file in the state directory `directory`. It is created if it does not
     exist.
 
-    There is one writer at a time. Pages and reports may read the database at the same time.
+    One run writes at a time. The service adds single records during a run, and each of the two waits while the other
+    writes. Pages and reports may read the database at the same time.
 
     Raises ConfigurationError if the database cannot be opened or created, or if its version is not the expected one.
     """
@@ -48,7 +51,7 @@ class Journal:
         try:
             create_directory(directory)
             require_same_version(directory)
-            self._connection = sqlite3.connect(self.path, isolation_level=None, timeout=2.0)
+            self._connection = sqlite3.connect(self.path, isolation_level=None, timeout=_WAIT_FOR_WRITER_S)
             prepare(self._connection, self.path)
         except (OSError, sqlite3.Error) as error:
             raise ConfigurationError(

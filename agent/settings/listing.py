@@ -37,7 +37,8 @@ def setting_rows(now: Settings, in_run: Mapping[str, Any] | None) -> tuple[Setti
 
 
 def without_secrets(document: Any) -> Any:
-    """Return a copy of a document in which a value is replaced by a marker if its key suggests a secret.
+    """Return a copy of a document in which a value is replaced by a marker if its key suggests a secret, and an address
+    by its scheme and host.
 
     Values at any depth of the document are checked.
     """
@@ -46,9 +47,18 @@ def without_secrets(document: Any) -> Any:
             key: REMOVED if _SECRET.search(str(key)) and value is not None else without_secrets(value)
             for key, value in document.items()
         }
+    if isinstance(document, str) and "://" in document:
+        return _origin(document)
     if isinstance(document, list):
         return [without_secrets(part) for part in document]
     return document
+
+
+def _origin(url: str) -> str:
+    """Return scheme and host of an address. Its user, path and query may be a secret, such as those of a webhook."""
+    scheme, _, rest = url.partition("://")
+    host = rest.partition("/")[0].partition("?")[0].rpartition("@")[2]
+    return url if url == f"{scheme}://{host}" else f"{scheme}://{host}/{REMOVED}"
 
 
 def _leaves(document: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from agent.settings.listing import REMOVED, setting_rows
+import pytest
+
+from agent.settings.listing import REMOVED, setting_rows, without_secrets
 from agent.settings.load import read_settings
 
 CASE_STUDY = Path(__file__).parents[3] / "config" / "case-study.toml"
@@ -25,3 +27,16 @@ def test_rows_name_the_keys_of_the_file_and_what_a_run_had() -> None:
     assert rows["machine"].stated
     assert not rows["procedure.recentre_mm"].stated
     assert all(row.in_run is None for row in setting_rows(settings, None))
+
+
+@pytest.mark.parametrize(
+    ("address", "shown"),
+    [
+        ("https://hooks.plant.example/T0/B1/x9", f"https://hooks.plant.example/{REMOVED}"),
+        ("https://hooks.plant.example?key=x9", f"https://hooks.plant.example/{REMOVED}"),
+        ("postgresql://volcal:x9@db.example:5432/runs", f"postgresql://db.example:5432/{REMOVED}"),
+        ("mqtt://broker.example:1883", "mqtt://broker.example:1883"),
+    ],
+)
+def test_of_an_address_only_scheme_and_host_are_shown(address: str, shown: str) -> None:
+    assert without_secrets({"notifications": [{"to": address}]}) == {"notifications": [{"to": shown}]}

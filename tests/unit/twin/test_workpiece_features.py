@@ -191,7 +191,8 @@ def test_what_cannot_be_predicted_is_said(features: list[Feature], said: str) ->
 @given(st.lists(st.floats(-900.0, 900.0), min_size=6, max_size=6), st.floats(-3.0, 3.0))
 def test_what_reaches_to_the_edge_of_the_travel_can_be_predicted(numbers: list[float], turned_rad: float) -> None:
     low = np.round(numbers[:3], 1)
-    ranges = tuple((float(one), float(one) + 1200.3) for one in low)
+    x, y, z = ((float(one), float(one) + 1200.3) for one in low)
+    ranges = (x, y, z)
     model, offset = replace(MODEL, ranges_mm=ranges), np.round(numbers[3:], 1)
     known = Known(np.zeros(MODEL.size), model=model)
     middle = np.mean(ranges, axis=1)

@@ -3,6 +3,7 @@
 import { make } from "./dom.js";
 import { FieldMap, lengthOf, nearOf } from "./field-map.js";
 import { number, say } from "./language.js";
+import { showProblem } from "./notices.js";
 import { choice, facts, heading, remark } from "./parts.js";
 import { scale } from "./plane-map.js";
 import { read } from "./requests.js";
@@ -53,7 +54,7 @@ function slider(plane, show) {
     words.textContent = told(chosen.at[key]);
     input.setAttribute("aria-valuetext", words.textContent);
     clearTimeout(waiting);
-    waiting = setTimeout(show, SOON_MS);
+    waiting = setTimeout(() => show().catch(showProblem), SOON_MS);
   });
   return make("label", { className: "slider" }, words, input);
 }

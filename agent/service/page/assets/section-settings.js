@@ -41,7 +41,7 @@ const text = (value) => (value === null || value === undefined ? "–" : typeof 
 const differs = ({ now, in_run: former }) => text(now) !== text(former);
 
 function found(rows, run) {
-  const words = wanted.text.toLowerCase(), kept = rows.filter(SHOWN[wanted.shown] ?? SHOWN.stated).filter(({ key }) => key.includes(words));
+  const words = wanted.text.toLowerCase(), kept = rows.filter(SHOWN[wanted.shown] ?? SHOWN.stated).filter(({ key }) => key.toLowerCase().includes(words));
   if (!kept.length) return [remark(wanted.shown === "differing" ? "settings.same" : "settings.none")];
   const heads = ["settings.key", "settings.now", ...(run ? ["settings.in_run"] : []), "settings.origin"];
   return [table(heads.map((key) => say(key)), kept.map((row) => [
