@@ -58,11 +58,14 @@ class ErrorField:
 
     @cached_property
     def largest_um(self) -> float:
-        """Largest expected length in µm of the deviation without table over the workspace; the scale of all planes."""
+        """Largest expected length in µm of the deviation without or with table over the workspace; the scale of all
+        planes."""
         points = evaluation_grid(self.estimate.model.ranges_mm, _LATTICE)
-        left = self._deviation(points) - self._rigid_without(points)
-        square = (left**2).sum(axis=1) + self._sigma_mm.values.reshape(-1) ** 2
-        return UM_PER_MM * float(np.sqrt(square.max()))
+        states = [self._deviation(points) - self._rigid_without(points)]
+        if self.table is not None:
+            states.append(self._compensated(points) - self._rigid_with(points))
+        squares = [(left**2).sum(axis=1) + self._sigma_mm.values.reshape(-1) ** 2 for left in states]
+        return UM_PER_MM * float(np.sqrt(np.max(squares)))
 
     def plane(self, normal: int, at_mm: float) -> FieldPlane:
         """Return the field on a plane; a position outside the travel is moved to its end."""
