@@ -128,7 +128,7 @@ class HandPlacementBehaviour(StrictModel):
 
 
 class StoreSettings(StrictModel):
-    """Capacity of the controller's compensation banks."""
+    """Capacity of the controller's compensation banks, and when and with which signs a table is applied."""
 
     banks: list[PositiveInt] = Field(default=[1, 2], min_length=1)
     max_nodes: tuple[PositiveInt, PositiveInt, PositiveInt] = (64, 64, 64)
@@ -136,6 +136,7 @@ class StoreSettings(StrictModel):
     resolution_um: PositiveFloat = 0.1
     max_correction_um: PositiveFloat = 1000.0
     activation: Literal["immediate", "reset", "power_cycle", "reference"] = "immediate"
+    signs: Literal["as_written", "reversed"] = "as_written"
 
 
 class AgeingSettings(StrictModel):

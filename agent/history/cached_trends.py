@@ -1,7 +1,7 @@
 """Cache of the runs of one machine and of their trends, which is kept up to date with the history database.
 
-After a new run, only that run is read from the journal and from the database. The trends of all runs are then fitted
-again, once for all readers of the cache.
+After a new run, only that run is read from the journal and from the database. The trends of the series to which it adds
+a value are then fitted again, once for all readers of the cache.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import version
 from threading import Lock
 
@@ -40,6 +41,7 @@ class CachedTrends:
     def __init__(self) -> None:
         self._lock = Lock()
         self._database: object = None
+        self._settings: HistorySettings | None = None
         self._current = MachineTrends("", (), ())
 
     def current(self, settings: Settings) -> MachineTrends:
@@ -70,9 +72,16 @@ class CachedTrends:
             if key != self._current.key:
                 known = self._current.runs if database == self._database else ()
                 runs = _updated(store, machine, known, digests)
-                self._current = MachineTrends(machine, runs, trends_of(runs, settings), key)
-                self._database = database
+                before = self._current.trends if (database, settings) == (self._database, self._settings) else ()
+                self._current = MachineTrends(machine, runs, trends_of(runs, settings, before), key)
+                self._database, self._settings = database, settings
             return self._current
+
+
+@cache
+def shared_trends() -> CachedTrends:
+    """Return the cache of this process, which the page and the metrics share."""
+    return CachedTrends()
 
 
 def _key(store: HistoryStore, digests: Mapping[str, str], settings: HistorySettings) -> object:

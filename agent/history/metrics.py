@@ -51,10 +51,10 @@ def live_text(machine: str, live: Mapping[str, float]) -> str:
 
 class CachedMetrics:
     """Metrics made from the history, which are made again only if it has changed, also over a restart of the service.
-    The cache is safe to use from any thread."""
+    The trends are taken from `trends`. The cache is safe to use from any thread."""
 
-    def __init__(self) -> None:
-        self._trends = CachedTrends()
+    def __init__(self, trends: CachedTrends) -> None:
+        self._trends = trends
         self._lock = Lock()
         self._key: object = None
         self._text: str | None = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from agent.history.schema import StoredRun
-from agent.history.series import ACTIVE, BARE, HELD_OUT, all_series
+from agent.history.series import ACTIVE, BARE, HELD_OUT, Series, all_series
 from agent.history.trends import Trend, TrendAlarm, trend_of
 from agent.settings.history import HistorySettings
 from drivers.errors import InputError
@@ -14,12 +14,19 @@ VOLUMETRIC = (BARE, ACTIVE, HELD_OUT)
 _MOST_SHOWN = 6
 
 
-def trends_of(runs: Sequence[StoredRun], settings: HistorySettings) -> tuple[Trend, ...]:
+def trends_of(runs: Sequence[StoredRun], settings: HistorySettings, known: Sequence[Trend] = ()) -> tuple[Trend, ...]:
     """Return the trends of all series of values that are computed from the runs of one machine.
 
-    The runs must be sorted, with the oldest run first.
+    The runs must be sorted, with the oldest run first. Of the trends `known`, made before with the same settings, those
+    whose series has not changed are returned as they are.
     """
-    return tuple(trend_of(series, settings.warn_nights) for series in all_series(runs, settings))
+    before = {trend.series.name: trend for trend in known}
+
+    def trend(series: Series) -> Trend:
+        same = before.get(series.name)
+        return same if same is not None and series.same_as(same.series) else trend_of(series, settings.warn_nights)
+
+    return tuple(trend(series) for series in all_series(runs, settings))
 
 
 def select_trends(trends: Sequence[Trend], names: Sequence[str]) -> tuple[Trend, ...]:

@@ -11,9 +11,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import MISSING, dataclass, field, fields
 from datetime import UTC, datetime
+from functools import cached_property
 from types import NoneType, UnionType
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
+import numpy as np
 from sqlalchemy import (
     Boolean,
     Column,
@@ -29,6 +31,7 @@ from sqlalchemy import (
 )
 
 from agent.results.run_verdict import RunVerdict, verdict_of
+from twin.arrays import Array
 
 SCHEMA_VERSION = 1
 _TYPES = {float: Double(), datetime: DateTime(timezone=True), int: Integer(), str: Text(), bool: Boolean()}
@@ -58,6 +61,16 @@ class StoredParameter:
     value: float
     standard_uncertainty: float
     unit: Unit
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterArrays:
+    """Estimated parameters of a run: their names, their `values` and their standard uncertainties `sigmas`, each with
+    the shape (n_parameters,), in the units of the rows."""
+
+    names: tuple[str, ...]
+    values: Array
+    sigmas: Array
 
 
 @dataclass(frozen=True)
@@ -145,6 +158,13 @@ class StoredRun:
     parameters: list[StoredParameter] = field(default_factory=list)
     temperatures: list[StoredTemperature] = field(default_factory=list)
     decisions: list[StoredDecision] = field(default_factory=list)
+
+    @cached_property
+    def parameter_arrays(self) -> ParameterArrays:
+        """The parameters as arrays. They are made once, since the series of all runs are made again after each run."""
+        values = np.array([one.value for one in self.parameters])
+        sigmas = np.array([one.standard_uncertainty for one in self.parameters])
+        return ParameterArrays(tuple(one.name for one in self.parameters), values, sigmas)
 
     @property
     def verdict(self) -> RunVerdict:

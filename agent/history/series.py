@@ -60,6 +60,14 @@ class Series:
     steps: tuple[float, ...]
     started_s: Array
 
+    def same_as(self, other: Series) -> bool:
+        """Return True if all that a trend is made from is the same in `other`."""
+        fields_of = ("name", "title", "unit", "run_ids", "stated", "tolerance", "two_sided", "steps")
+        arrays = ("nights", "values", "sigmas", "started_s")
+        return all(getattr(self, one) == getattr(other, one) for one in fields_of) and all(
+            np.array_equal(getattr(self, one), getattr(other, one)) for one in arrays
+        )
+
     def date(self, night: float) -> datetime:
         """Return the UTC time of a night: between two runs by interpolation, and by the calendar outside them."""
         inside = min(max(night, self.nights[0]), self.nights[-1])
@@ -72,7 +80,7 @@ def all_series(runs: Sequence[StoredRun], settings: HistorySettings) -> tuple[Se
 
     The runs must be sorted, with the oldest run first.
     """
-    timeline = nights_of(runs)
+    timeline = _Timeline.of(runs)
     found = [*_volumetric(runs, timeline, settings), *_errors(runs, timeline, settings)]
     return tuple(series for series in found if len(series.values))
 
@@ -96,6 +104,21 @@ def nights_of(runs: Sequence[StoredRun]) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
+class _Timeline:
+    """Identities of the runs, their `nights` (`nights_of`) and their starts in seconds since 1970, each with the shape
+    (n_runs,)."""
+
+    run_ids: tuple[str, ...]
+    nights: Array
+    started_s: Array
+
+    @classmethod
+    def of(cls, runs: Sequence[StoredRun]) -> _Timeline:
+        started_s = np.array([utc_time(run.started).timestamp() for run in runs])
+        return cls(tuple(run.run_id for run in runs), nights_of(runs), started_s)
+
+
+@dataclass(frozen=True, eq=False)
 class _Values:
     """Values that one quantity had in n of the runs. `runs` contains the indices of these runs, `sigmas` the standard
     uncertainties of the values, NaN where they are not known; each has the shape (n,)."""
@@ -113,7 +136,7 @@ class _Values:
         return cls(runs[order], values[order], sigmas[order])
 
 
-def _volumetric(runs: Sequence[StoredRun], timeline: Array, settings: HistorySettings) -> Iterable[Series]:
+def _volumetric(runs: Sequence[StoredRun], timeline: _Timeline, settings: HistorySettings) -> Iterable[Series]:
     """Yield three series: the volumetric error (VE) without a table, the VE with the table active at the end of each
     run, and the rms of the held-out balls with that table.
     """
@@ -133,10 +156,10 @@ def _volumetric(runs: Sequence[StoredRun], timeline: Array, settings: HistorySet
         known = np.array([one for one in found if one[1] is not None], dtype=np.float64).reshape(-1, 3)  # None is NaN
         values = _Values(known[:, 0].astype(np.intp), known[:, 1], known[:, 2])
         steps = changed if name == BARE else anew
-        yield _series(name, TITLES[name], "µm", values, runs, timeline, tolerance, steps, two_sided=False)
+        yield _series(name, TITLES[name], "µm", values, timeline, tolerance, steps, two_sided=False)
 
 
-def _errors(runs: Sequence[StoredRun], timeline: Array, settings: HistorySettings) -> Iterable[Series]:
+def _errors(runs: Sequence[StoredRun], timeline: _Timeline, settings: HistorySettings) -> Iterable[Series]:
     """Yield the series of each geometric error, then the series of each parameter. The value of a geometric error is
     its largest absolute value along the axis.
     """
@@ -147,8 +170,8 @@ def _errors(runs: Sequence[StoredRun], timeline: Array, settings: HistorySetting
     units: dict[str, str] = {}
     for names, places in _runs_by_parameters(runs).items():
         units |= {one.name: one.unit for one in runs[places[0]].parameters}
-        values = np.array([[one.value for one in runs[place].parameters] for place in places])
-        sigmas = np.array([[one.standard_uncertainty for one in runs[place].parameters] for place in places])
+        values = np.stack([runs[place].parameter_arrays.values for place in places])
+        sigmas = np.stack([runs[place].parameter_arrays.sigmas for place in places])
         for error, columns in _by_error(names).items():
             chosen = list(columns.values())
             largest = _largest(list(columns), values[:, chosen], sigmas[:, chosen])
@@ -160,7 +183,7 @@ def _errors(runs: Sequence[StoredRun], timeline: Array, settings: HistorySetting
         for name, parts in found.items():
             joined, tolerance = _Values.joined(parts), tolerances.get(name)
             title = title_of(name)
-            yield _series(name, title, units[name], joined, runs, timeline, tolerance, steps, two_sided=two_sided)
+            yield _series(name, title, units[name], joined, timeline, tolerance, steps, two_sided=two_sided)
 
 
 def _runs_by_parameters(runs: Sequence[StoredRun]) -> Mapping[tuple[str, ...], NDArray[np.intp]]:
@@ -168,7 +191,7 @@ def _runs_by_parameters(runs: Sequence[StoredRun]) -> Mapping[tuple[str, ...], N
     found: dict[tuple[str, ...], list[int]] = {}
     for place, run in enumerate(runs):
         if run.parameters:
-            found.setdefault(tuple(one.name for one in run.parameters), []).append(place)
+            found.setdefault(run.parameter_arrays.names, []).append(place)
     return {names: np.array(places) for names, places in found.items()}
 
 
@@ -210,9 +233,9 @@ def _largest(orders: Sequence[int], values: Array, sigmas: Array) -> tuple[Array
 
 
 def _nights_where(
-    runs: Sequence[StoredRun], timeline: Array, changed: Callable[[StoredRun], bool]
+    runs: Sequence[StoredRun], timeline: _Timeline, changed: Callable[[StoredRun], bool]
 ) -> tuple[float, ...]:
-    return tuple(float(night) for night, run in zip(timeline, runs, strict=True) if changed(run))
+    return tuple(float(night) for night, run in zip(timeline.nights, runs, strict=True) if changed(run))
 
 
 def _series(
@@ -220,8 +243,7 @@ def _series(
     title: str,
     unit: str,
     values: _Values,
-    runs: Sequence[StoredRun],
-    timeline: Array,
+    timeline: _Timeline,
     tolerance: float | None,
     steps: Sequence[float],
     *,
@@ -232,13 +254,13 @@ def _series(
         name=name,
         title=title,
         unit=unit,
-        run_ids=tuple(runs[place].run_id for place in values.runs),
-        nights=timeline[values.runs],
+        run_ids=tuple(timeline.run_ids[place] for place in values.runs.tolist()),
+        nights=timeline.nights[values.runs],
         values=values.values,
         sigmas=values.sigmas if stated else np.ones_like(values.values),
         stated=stated,
         tolerance=tolerance,
         two_sided=two_sided,
         steps=tuple(sorted(set(steps))),
-        started_s=np.array([utc_time(runs[place].started).timestamp() for place in values.runs]),
+        started_s=timeline.started_s[values.runs],
     )

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from enum import Enum
 from typing import Any
 
@@ -79,7 +78,7 @@ class Trend:
             "unit": series.unit,
             "runs": list(series.run_ids),
             "nights": series.nights.tolist(),
-            "started": [f"{datetime.fromtimestamp(at_s, UTC):%Y-%m-%dT%H:%M:%SZ}" for at_s in series.started_s],
+            "started": np.datetime_as_string(series.started_s.astype("datetime64[s]"), timezone="UTC").tolist(),
             "values": series.values.tolist(),
             "standard_uncertainties": series.sigmas.tolist() if series.stated else None,
             "tolerance": series.tolerance,

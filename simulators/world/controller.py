@@ -265,6 +265,11 @@ class Controller:
         return self._tables.images
 
     @property
+    def applied_tables(self) -> dict[int, TableImage]:
+        """Tables of the banks as the controller applies them."""
+        return self._tables.applied
+
+    @property
     def active_bank(self) -> int:
         return self._tables.active
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from drivers.errors import CommandRejected
@@ -24,7 +26,10 @@ class TableBanks:
             max_correction_mm=settings.max_correction_um * 1e-3,
             activation=Activation(settings.activation),
         )
+        self._is_reversed = settings.signs == "reversed"
         self.images: dict[int, TableImage] = {}
+        self.applied: dict[int, TableImage] = {}
+        """Tables as the controller applies them, by bank."""
         self.active = 0
         self.field: TableField | None = None
 
@@ -40,6 +45,7 @@ class TableBanks:
             raise CommandRejected(f"bank {bank} is active and cannot be written")
         self._refuse_misfit(image)
         self.images[bank] = image
+        self.applied[bank] = replace(image, counts=-image.counts) if self._is_reversed else image
 
     def activate(self, bank: int) -> None:
         """Make `bank` the active bank, whose compensation table corrects the motion. Raises CommandRejected if the bank
@@ -48,7 +54,7 @@ class TableBanks:
         if bank and bank not in self.images:
             raise CommandRejected(f"bank {bank} holds no table")
         self.active = bank
-        self.field = TableField(self.images[bank]) if bank else None
+        self.field = TableField(self.applied[bank]) if bank else None
 
     def _refuse_misfit(self, image: TableImage) -> None:
         nodes = image.shape

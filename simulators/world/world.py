@@ -75,7 +75,7 @@ class World:
             on_collision=self._record,
         )
         self.truth = MachineTruth(
-            machine, scenario.machine.model, self.controller.banks, lambda: changes.field(self.now)
+            machine, scenario.machine.model, self.controller.applied_tables, lambda: changes.field(self.now)
         )
         self._turn_crash: TurnCrash | None = None
         self._looked_ahead = True
@@ -223,7 +223,7 @@ def true_machine(scenario: Scenario) -> TrueMachine:
 class MachineTruth:
     """True error of the machine at its present temperature, and after a collision if there was one.
 
-    `banks` maps the numbers of the controller's banks to their compensation tables; it is shared with the controller
+    `banks` maps the numbers of the controller's banks to their tables as it applies them; it is shared with the controller
     and not copied. `change` is a function that returns the present change of the deviation field, or None.
     The thermal growth of spindle and ram is excluded: it shifts the tip equally at all positions, like a new zero
     point, and a compensation table need not correct such a shift.

@@ -29,9 +29,10 @@ AT_ONCE = "\n[service]\nport = 0\nwarm_up_minutes = 0\n"
 
 
 @contextmanager
-def simulator(directory: Path) -> Iterator[tuple[subprocess.Popen[bytes], dict[str, Any]]]:
+def simulator(directory: Path, sections: str = "") -> Iterator[tuple[subprocess.Popen[bytes], dict[str, Any]]]:
+    """Run the simulator with a bad machine. `sections` are further sections of its scenario."""
     path = directory / "scenario.toml"
-    path.write_text(scenario_text().replace("[truth]", "[truth]\nscale = 4.0"))
+    path.write_text(scenario_text().replace("[truth]", "[truth]\nscale = 4.0") + sections)
     with simulated(path) as started:
         yield started
 

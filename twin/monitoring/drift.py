@@ -24,9 +24,10 @@ from scipy.special import stdtrit
 
 from twin.arrays import Array
 from twin.errors import DataError
+from twin.monitoring.level_regression import LevelRegression
 
 _BISECTIONS = 60  # of the horizon: 2⁻⁶⁰ of it is below the rounding of a double
-_SAME_NIGHT = 1e-9  # nights; two runs are further apart
+SAME_NIGHT = 1e-9  # nights; two runs are further apart
 MIN_FREEDOM_FOR_SCALE = 4
 COVERAGE = 0.95
 # Few nights give a poor correlation; at 0.9 the variance is multiplied by 19, at 1 by infinity.
@@ -69,9 +70,15 @@ class Drift:
 
         Return the predicted value and its standard uncertainty.
         """
+        return self.level + self.slope * nights, float(self.line_sigma(np.array([nights]))[0])
+
+    def line_sigma(self, nights: Array) -> Array:
+        """Return the standard uncertainty of the fitted line `nights` nights after the last measured night, shape
+        (n,)."""
         # Var(level + n slope), with the covariance that the fit gives to level and slope
         variance = self.level_sigma**2 + 2.0 * nights * self.covariance + (nights * self.slope_sigma) ** 2
-        return self.level + self.slope * nights, float(np.sqrt(max(variance, 0.0)))
+        sigma: Array = np.sqrt(np.maximum(variance, 0.0))
+        return sigma
 
 
 def fit_drift(nights: ArrayLike, values: ArrayLike, sigmas: ArrayLike, steps: Sequence[float] = ()) -> Drift:
@@ -83,48 +90,36 @@ def fit_drift(nights: ArrayLike, values: ArrayLike, sigmas: ArrayLike, steps: Se
     """
     t, y, u = (np.asarray(given, dtype=np.float64) for given in (nights, values, sigmas))
     _check(t, y, u)
-    design = regression_design(t, steps)
-    freedom = len(y) - design.shape[1]
+    freedom = len(y) - 2 - len(steps)
     if freedom < 0 or not is_determined(t, steps):
         raise DataError(f"{len(y)} values are too few for a drift with {len(steps)} steps")
-    # Each equation divided by its standard uncertainty has unit variance, so that (AᵀA)⁻¹ is the covariance.
-    weighted = design / u[:, None]
-    covariance = np.linalg.inv(weighted.T @ weighted)
-    found = covariance @ (weighted.T @ (y / u))
-    fitted = design @ found
-    residuals = (y - fitted) / u
-    scatter, correlation = _scatter(residuals, freedom)
-    covariance = covariance * scatter**2 * (1.0 + correlation) / (1.0 - correlation)
-    sigma = np.sqrt(np.diagonal(covariance))
+    found = LevelRegression.of(t, y, u, steps)
+    scatter, correlation = _scatter(found.residuals, freedom)
+    factor_of_variance = scatter**2 * (1.0 + correlation) / (1.0 - correlation)
+    # The slope is independent of the means of the levels, from which it extrapolates to the last night.
+    slope_variance = factor_of_variance / found.spread
+    mean_variances = factor_of_variance / found.totals
+    level_variance = mean_variances[-1] + found.means[-1] ** 2 * slope_variance
+    step_variances = mean_variances[1:] + mean_variances[:-1] + np.diff(found.means) ** 2 * slope_variance
     # With the stated uncertainties, nothing was estimated from the scatter: Student's t with 10⁶ degrees of freedom is
     # the normal distribution, factor 1.96.
     factor = float(stdtrit(freedom if freedom >= MIN_FREEDOM_FOR_SCALE else 1e6, 0.5 + 0.5 * COVERAGE))
     return Drift(
-        level=float(found[0]),
-        level_sigma=float(sigma[0]),
-        slope=float(found[1]),
-        slope_sigma=float(sigma[1]),
-        covariance=float(covariance[0, 1]),
+        level=float(found.intercepts[-1]),
+        level_sigma=math.sqrt(level_variance),
+        slope=found.slope,
+        slope_sigma=math.sqrt(slope_variance),
+        covariance=-float(found.means[-1]) * slope_variance,
         steps=tuple(
             (float(at), float(size), float(u_size))
-            for at, size, u_size in zip(steps, found[2:], sigma[2:], strict=True)
+            for at, size, u_size in zip(sorted(steps), np.diff(found.intercepts), np.sqrt(step_variances), strict=True)
         ),
-        fitted=fitted,
+        fitted=found.fitted,
         scatter=scatter,
         correlation=correlation,
         freedom=freedom,
         factor=factor,
     )
-
-
-def regression_design(t: Array, steps: Sequence[float]) -> Array:
-    """Return the design matrix, shape (n, 2 + k), of the drift regression for n nights `t` and k `steps`.
-
-    The first column belongs to the level at the last night and the second to the slope. Each further column belongs to
-    one step (sudden change of level); it is -1 before the step and 0 after it.
-    """
-    before = [-(t < at).astype(np.float64) for at in steps]
-    return np.stack([np.ones_like(t), t - t[-1], *before], axis=1)
 
 
 def is_determined(t: Array, steps: Sequence[float]) -> bool:
@@ -133,7 +128,7 @@ def is_determined(t: Array, steps: Sequence[float]) -> bool:
     """
     levels = np.searchsorted(np.sort(steps), t, side="right")
     same_level = np.diff(levels) == 0
-    return len(np.unique(levels)) == len(steps) + 1 and bool((np.diff(t)[same_level] > _SAME_NIGHT).any())
+    return len(np.unique(levels)) == len(steps) + 1 and bool((np.diff(t)[same_level] > SAME_NIGHT).any())
 
 
 def _scatter(residuals: Array, freedom: int) -> tuple[float, float]:

@@ -12,14 +12,13 @@ for the search over times, as in the modified Bayesian information criterion (BI
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from twin.arrays import Array
-from twin.monitoring.drift import is_determined, regression_design
+from twin.monitoring.drift import SAME_NIGHT
+from twin.monitoring.level_regression import LevelRegression
 
 PENALTY_PER_LOG = 6.0
 MIN_NIGHTS = 8
@@ -62,62 +61,40 @@ def _best(t: Array, y: Array, sigmas: Array, steps: Sequence[float]) -> float | 
 
     The gain of the step must still exceed the penalty if any single value is omitted.
     """
-    regression = _Regression.of(t, y, sigmas, steps)
+    regression = LevelRegression.of(t, y, sigmas, steps)
     candidates = _candidates(t, steps)
-    gains = regression.gains(candidates)
+    found = gains(regression, candidates)
     penalty = _penalty(len(t))
-    for index in np.argsort(-gains, kind="stable"):
-        if gains[index] < penalty:
-            return None
-        at = candidates[int(index)]
-        if (regression.gains_without_one_value(at) >= penalty).all():
+    enough = np.flatnonzero(found >= penalty)
+    for at in candidates[enough[np.argsort(-found[enough], kind="stable")]]:
+        if (gains_without_one_value(regression, int(at)) >= penalty).all():
             return float(t[at])
     return None
 
 
-@dataclass(frozen=True, eq=False)
-class _Regression:
-    """Regression of n nights on p columns, each row divided by its standard uncertainty 1 / `weights`.
+def gains(regression: LevelRegression, candidates: NDArray[np.intp]) -> Array:
+    """Return the reduction of the residual sum of squares by a step at each of the `candidates`, shape (n_candidates,).
+    A candidate is the index of the first value after its step.
 
-    `basis`, shape (n, p), has orthonormal columns that span the columns of the regression, and `residuals`, shape (n,),
-    are orthogonal to them. A further column c, that of a step, reduces the residual sum of squares by
-    (c' · r)² / |c'|², where c' is the part of c that is orthogonal to the basis and r are the residuals.
+    A further column c reduces the sum by (c' · r)² / |c'|², where c' is the part of c that is orthogonal to the
+    regression and r are the residuals.
     """
+    square, orthogonal, explained = regression.step_columns(candidates)
+    found: Array = np.divide(
+        explained**2, orthogonal, out=np.zeros_like(orthogonal), where=orthogonal > _DEPENDENT * square
+    )
+    return found
 
-    weights: Array
-    basis: Array
-    residuals: Array
 
-    @classmethod
-    def of(cls, t: Array, y: Array, sigmas: Array, steps: Sequence[float]) -> _Regression:
-        weights = 1.0 / sigmas
-        basis = np.linalg.qr(regression_design(t, steps) * weights[:, None])[0]
-        return cls(weights, basis, y * weights - basis @ (basis.T @ (y * weights)))
-
-    def gains(self, candidates: Sequence[int]) -> Array:
-        """Return the reduction of the residual sum of squares by a step at each of the `candidates`, shape
-        (n_candidates,). A candidate is the index of the first value after its step.
-        """
-        # The column of a step contains the weights of the values before it; cumulative sums serve all candidates.
-        last_before = np.array(candidates, dtype=np.intp) - 1
-        square = np.cumsum(self.weights**2)[last_before]
-        shares = np.cumsum(self.weights[:, None] * self.basis, axis=0)[last_before]
-        explained = np.cumsum(self.weights * self.residuals)[last_before]
-        left = square - np.sum(shares**2, axis=1)
-        gains: Array = np.divide(explained**2, left, out=np.zeros_like(left), where=left > _DEPENDENT * square)
-        return gains
-
-    def gains_without_one_value(self, at: int) -> Array:
-        """Return the reduction of the residual sum of squares by the step before the value `at` if one value is
-        omitted, for each of the n values, shape (n,).
-        """
-        column = np.where(np.arange(len(self.weights)) < at, self.weights, 0.0)
-        column = column - self.basis @ (self.basis.T @ column)
-        column /= np.linalg.norm(column)
-        with_step = self.residuals - column * (column @ self.residuals)
-        leverage = np.sum(self.basis**2, axis=1)
-        before = _squares_without_one_value(self.residuals, leverage)
-        return before - _squares_without_one_value(with_step, leverage + column**2)
+def gains_without_one_value(regression: LevelRegression, at: int) -> Array:
+    """Return the reduction of the residual sum of squares by the step before the value `at` if one value is omitted,
+    for each of the n values, shape (n,).
+    """
+    column = regression.step_column(at)
+    with_step = regression.residuals - column * (column @ regression.residuals)
+    leverages = regression.leverages
+    before = _squares_without_one_value(regression.residuals, leverages)
+    return before - _squares_without_one_value(with_step, leverages + column**2)
 
 
 def _squares_without_one_value(residuals: Array, leverage: Array) -> Array:
@@ -147,21 +124,25 @@ def _successive(y: Array) -> float:
 
 
 def _usable(t: Array, known: Sequence[float]) -> tuple[float, ...]:
-    """Return the known steps, in ascending order, that leave the regression solvable."""
+    """Return the known steps, in ascending order, that leave the regression solvable (`is_determined`)."""
+    # parted[j] is the number of values before j that are of another night than the value before them
+    parted = np.concatenate(([0, 0], np.cumsum(np.diff(t) > SAME_NIGHT)))
     kept: list[float] = []
+    start, spread = 0, False  # first value of the last level; True if an earlier level has values of different nights
     for at in sorted(set(known)):
-        if len(t) > len(kept) + 3 and is_determined(t, [*kept, at]):
+        end = int(np.searchsorted(t, at))
+        closed = spread or bool(parted[end] > parted[min(start + 1, end)])
+        opened = bool(parted[-1] > parted[min(end + 1, len(t))])
+        if len(t) > len(kept) + 3 and start < end < len(t) and (closed or opened):
             kept.append(at)
+            start, spread = end, closed
     return tuple(kept)
 
 
-def _candidates(t: Array, steps: Sequence[float]) -> list[int]:
+def _candidates(t: Array, steps: Sequence[float]) -> NDArray[np.intp]:
     """Return the indices of the values before which a further step would leave at least two values on each level."""
-    edges = [0, *(int(np.searchsorted(t, at)) for at in steps), len(t)]
-    return [
-        index
-        for start, end in pairwise(edges)
-        for index in range(start + 2, end - 1)
-        # values of the same night cannot lie on different sides of a step
-        if t[index] > t[index - 1]
-    ]
+    # values of the same night cannot lie on different sides of a step
+    possible = np.concatenate(([False], np.diff(t) > 0.0))
+    for edge in (0, *np.searchsorted(t, steps).tolist(), len(t)):
+        possible[max(edge - 1, 0) : edge + 2] = False
+    return np.flatnonzero(possible)

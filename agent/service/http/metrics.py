@@ -35,9 +35,10 @@ def mount_metrics(app: FastAPI, app_state: AppState) -> None:
 
 
 def _cached_metrics() -> CachedMetrics:
+    from agent.history.cached_trends import shared_trends  # noqa: PLC0415
     from agent.history.metrics import CachedMetrics  # noqa: PLC0415
 
-    return CachedMetrics()
+    return CachedMetrics(shared_trends())
 
 
 def live_gauges(status: Status) -> dict[str, float]:

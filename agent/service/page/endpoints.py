@@ -128,9 +128,10 @@ def page_router() -> APIRouter:
 
 def _trend_cache() -> TrendCache:
     """Return the cache of trends. The database client is imported here, at the first request."""
+    from agent.history.cached_trends import shared_trends  # noqa: PLC0415
     from agent.service.page.trends import TrendCache  # noqa: PLC0415
 
-    return TrendCache()
+    return TrendCache(shared_trends())
 
 
 def table_csv(image: TableImage | None, tool_offset_mm: Array, run_id: str, role: str) -> str:

@@ -26,10 +26,11 @@ _OVERVIEW = "overview"
 
 class TrendCache:
     """Cache of the documents of the trends, also over a restart. A document is made again only if runs in
-    the history or the settings of the history have changed. The cache is safe to use from any thread."""
+    the history or the settings of the history have changed. The trends are taken from `trends`. The cache is safe to
+    use from any thread."""
 
-    def __init__(self) -> None:
-        self._trends = CachedTrends()
+    def __init__(self, trends: CachedTrends) -> None:
+        self._trends = trends
         self._lock = Lock()
         self._key: object = None
         self._documents: dict[str, Document] = {}
@@ -92,17 +93,14 @@ def _is_selected(series: Series, of: str | None) -> bool:
 def _trend(trend: Trend) -> Document:
     """Return the trend with the values of the fitted line and the half width of its band."""
     drift = trend.drift
-    half = (
-        []
-        if drift is None
-        else [drift.factor * drift.predict(night - trend.series.nights[-1])[1] for night in trend.series.nights]
-    )
+    nights = trend.series.nights
+    half = None if drift is None else (drift.factor * drift.line_sigma(nights - nights[-1])).tolist()
     return {
         **trend.as_json(),
         "volumetric": trend.series.name in VOLUMETRIC,
         "two_sided": trend.series.two_sided,
         "fitted": None if drift is None else drift.fitted.tolist(),
-        "fitted_half_width": None if drift is None else half,
+        "fitted_half_width": half,
     }
 
 

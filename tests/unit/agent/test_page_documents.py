@@ -14,6 +14,7 @@ from journaled import journaled, run_id
 from service_house import settings_document
 
 from agent.history import cached_trends
+from agent.history.cached_trends import CachedTrends
 from agent.history.metrics import CachedMetrics
 from agent.history.schema import StoredRun
 from agent.history.trends import Trend
@@ -106,7 +107,7 @@ def test_what_a_position_is_worth_is_what_the_set_without_it_leaves(job: Job) ->
 
 def test_before_the_first_run_there_are_no_trends_and_no_results(tmp_path: Path) -> None:
     settings = Settings.model_validate(settings_document(tmp_path))
-    assert TrendCache().document(settings, None) == {"trends": [], "alarms": [], "marks": [], "runs": {}}
+    assert TrendCache(CachedTrends()).document(settings, None) == {"trends": [], "alarms": [], "marks": [], "runs": {}}
     with pytest.raises(InputError, match="no journal"):
         ResultCache().curves(tmp_path, "20260101T000000Z-0000")
 
@@ -116,7 +117,7 @@ def test_trends_have_the_line_and_the_band_that_are_drawn(tmp_path: Path) -> Non
     for night in range(10):
         journaled(tmp_path, night, 4.8 + 0.4 * night, machine="mine")
     chosen = {"machine": "mine", "parameter_tolerances": {"EXX[1]": 12.0}}
-    trends, settings = TrendCache(), Settings.model_validate(settings_document(tmp_path, history=chosen))
+    trends, settings = TrendCache(CachedTrends()), Settings.model_validate(settings_document(tmp_path, history=chosen))
     [slope, bow] = trends.document(settings, "EXX")["trends"]
     assert (slope["name"], bow["name"]) == ("EXX[1]", "EXX[2]")
     assert slope["fitted"] == pytest.approx([4.8 + 0.4 * night for night in range(10)])
@@ -141,26 +142,27 @@ def test_after_a_restart_nothing_is_fitted_again_until_a_run_or_a_setting_has_ch
     for night in range(3):
         journaled(tmp_path, night, 4.8, machine="mine")
     settings = Settings.model_validate(settings_document(tmp_path, history={"machine": "mine"}))
-    made, metrics = TrendCache().document(settings, None), CachedMetrics().text(settings)
+    made, metrics = TrendCache(CachedTrends()).document(settings, None), CachedMetrics(CachedTrends()).text(settings)
     fitted: list[int] = []
 
-    def trends_of(runs: Sequence[StoredRun], _: HistorySettings) -> tuple[Trend, ...]:
+    def trends_of(runs: Sequence[StoredRun], _: HistorySettings, __: Sequence[Trend]) -> tuple[Trend, ...]:
         fitted.append(len(runs))
         return ()
 
     monkeypatch.setattr(cached_trends, "trends_of", trends_of)
-    assert TrendCache().document(settings, None) == made
-    assert CachedMetrics().text(settings) == metrics
+    assert TrendCache(CachedTrends()).document(settings, None) == made
+    assert CachedMetrics(CachedTrends()).text(settings) == metrics
     assert metrics[0] == "mine"
     assert "volcal_runs{" in metrics[1]
     assert fitted == []
     tolerant = Settings.model_validate(settings_document(tmp_path, history={"machine": "mine", "warn_nights": 3.0}))
-    TrendCache().document(tolerant, None)
+    TrendCache(CachedTrends()).document(tolerant, None)
     assert fitted == [3]
     journaled(tmp_path, 3, 4.8, machine="mine")
-    TrendCache().document(settings, None)
-    CachedMetrics().text(settings)
-    assert fitted == [3, 4, 4]
+    shared = CachedTrends()  # as in the service: the page and the metrics show the same trends
+    TrendCache(shared).document(settings, None)
+    CachedMetrics(shared).text(settings)
+    assert fitted == [3, 4]
     (settings.state_directory / "trends.json").write_text("[]")
-    TrendCache().document(settings, None)
-    assert fitted == [3, 4, 4, 4]
+    TrendCache(CachedTrends()).document(settings, None)
+    assert fitted == [3, 4, 4]

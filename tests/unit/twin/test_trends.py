@@ -98,6 +98,29 @@ class TestDrift:
         assert drift.steps[0][:2] == pytest.approx((6.0, 20.0))
         assert drift.level == pytest.approx(24.5)
 
+    @pytest.mark.parametrize("seed", range(10))
+    def test_it_is_that_of_the_whole_least_squares_solution(self, seed: int) -> None:
+        """Four nights between the steps on average; the uncertainties are those of the inverse normal matrix."""
+        rng = np.random.default_rng(seed)
+        nights = np.sort(rng.choice(np.arange(60.0), 40))
+        sigmas = rng.uniform(0.5, 2.0, 40)
+        values = 0.2 * nights + sigmas * rng.normal(size=40)
+        steps = find_steps(nights, values, sigmas, rng.choice(nights, 10).tolist())
+        drift = fit_drift(nights, values, sigmas, steps)
+        design = np.stack([np.ones(40), nights - nights[-1], *(-(nights < at).astype(float) for at in steps)], axis=1)
+        rows = design / sigmas[:, None]
+        found = np.linalg.lstsq(rows, values / sigmas, rcond=None)[0]
+        inflation = drift.scatter**2 * (1.0 + drift.correlation) / (1.0 - drift.correlation)
+        covariance = np.linalg.inv(rows.T @ rows) * inflation
+        assert drift.scatter == pytest.approx(np.linalg.norm(values / sigmas - rows @ found) / math.sqrt(drift.freedom))
+        assert [drift.level, drift.slope, *(size for _, size, _ in drift.steps)] == pytest.approx(found)
+        sizes = [sigma for _, _, sigma in drift.steps]
+        assert [drift.level_sigma, drift.slope_sigma, *sizes] == pytest.approx(np.sqrt(np.diagonal(covariance)))
+        assert drift.covariance == pytest.approx(covariance[0, 1])
+        assert drift.fitted == pytest.approx(design @ found)
+        back = np.array([0.0, -7.0])
+        assert drift.line_sigma(back)[1] ** 2 == pytest.approx(np.array([1.0, -7.0]) @ covariance[:2, :2] @ [1.0, -7.0])
+
     def test_what_cannot_be_told_apart_is_refused(self) -> None:
         with pytest.raises(DataError):
             fit_drift([0.0, 1.0], [0.0, 1.0], [1.0, 1.0], [1.0])
