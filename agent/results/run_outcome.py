@@ -48,7 +48,7 @@ class Proof:
 @dataclass(frozen=True)
 class Confirmation:
     """Confirmation of the active table, which is kept because a new table would not be better by the stated margin, or
-    because its proof could not show that it is.
+    because its proof could not show that it is. A machine on which no table is active (`without_table`) stays so.
 
     `kept_um` and `new_um` are the volumetric errors expected with the active and with a new table, after removal of the
     best-fitting rigid motion. `min_gain` is the relative decrease from which a new table is written. `held_out_um` is
@@ -65,10 +65,22 @@ class Confirmation:
     chi2_normalised: float
     power: float | None
     reason: str = ""
+    without_table: bool = False
 
     @property
     def text(self) -> str:
         """Explanation in one line."""
+        if self.without_table and self.power is not None:
+            return (
+                f"{Decision.CONFIRMED.value}: the machine stays without a table; {no_gain_text(self.power)}; VE "
+                f"{self.kept_um:.2f} µm, with a table {self.new_um:.2f} µm expected"
+            )
+        if self.without_table:
+            return (
+                f"{Decision.CONFIRMED.value}: the machine stays without a table, VE {self.kept_um:.2f} µm; a table is "
+                f"expected to leave {self.new_um:.2f} µm; it is written only if it lowers the VE by "
+                f"{100.0 * self.min_gain:.0f} % or more"
+            )
         if self.power is not None:
             return (
                 f"{Decision.CONFIRMED.value}: {no_gain_text(self.power)}; VE {self.kept_um:.2f} µm, with a new table "

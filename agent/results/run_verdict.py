@@ -70,8 +70,8 @@ CONFIRMED = _verdict(
     "✔",
     ("Confirmed", "Bestätigt"),
     (
-        "The active compensation was kept: measurements confirmed it, and a new table was not provably better.",
-        "Die aktive Kompensation blieb: Messungen bestätigten sie, eine neue Tabelle war nicht nachweisbar besser.",
+        "The compensation was left as it was: the measurements agree, and a new table was not provably better.",
+        "Die Kompensation blieb unverändert: Die Messungen passen zusammen, keine neue Tabelle war nachweisbar besser.",
     ),
 )
 FUSED = _verdict(

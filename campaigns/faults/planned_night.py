@@ -104,6 +104,8 @@ JUMPED_BEFORE_PROOF = PlannedNight(
     77, 116, "thermometer wrong", 1.0, "publish/read-back", mornings=("resume", "restart")
 )
 """All thermometers show -127 °C from the first reading of the proof on."""
+KNOWN_DURATION_S = 693.0
+"""Machine time in s over which the instants of the known nights were drawn."""
 KNOWN_NIGHTS = (SEEN_BY_PROOF, SEEN_BY_NOBODY, NAMED_IN_THE_MORNING, JUMPED_BEFORE_PROOF)
 """Nights that have once found a defect, as they were drawn then: with a new kind of fault, other nights are drawn."""
 

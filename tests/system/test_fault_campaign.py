@@ -161,6 +161,13 @@ def test_a_second_fault_is_counted_only_if_it_has_begun() -> None:
     assert summarise([replace(planned, later=replace(planned, second_begun=True))])["with_a_second_fault"] == 1
 
 
+@pytest.mark.parametrize(("missed", "passed"), [(3, True), (4, False)])
+def test_a_trial_whose_runs_end_before_their_fault_fails(missed: int, passed: bool) -> None:
+    nights = [replace(RESTORED, reached=number >= missed) for number in range(20)]
+    counted = summarise(nights)
+    assert (counted["reached"], counted["passed"]) == (20 - missed, passed)
+
+
 def test_nights_that_once_found_a_defect_end_as_they_must() -> None:
     """A controller that activates another bank: seen by the proof, by nobody, and in the morning. A thermometer that
     fails between the measurement and the proof: the run is resumed once it is in order."""
@@ -187,10 +194,12 @@ def test_all_kinds_of_fault_occur_and_a_night_is_drawn_the_same_again() -> None:
 
 
 def test_nights_with_faults_end_as_they_must() -> None:
-    _, result = run_campaign("faults", "--count", str(NIGHTS), "--seed", "3", "--workers", "1")
+    """The first machine that is drawn with this seed keeps its table, so that another one is drawn."""
+    _, result = run_campaign("faults", "--count", str(NIGHTS), "--seed", "31", "--workers", "1")
     assert result["violations"] == dict.fromkeys(INVARIANTS, 0)
     assert result["passed"]
     assert result["nights"] == NIGHTS
+    assert result["machines_refused"] > 0
     assert {kind for kind, fault in KINDS.items() if not fault.link} < set(result["by_kind"])
     assert {KINDS[kind].link for kind in result["by_kind"]} == {"", *LINKS}
     assert result["accepted"] > 0

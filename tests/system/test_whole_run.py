@@ -324,7 +324,7 @@ def test_a_gain_that_the_held_out_positions_cannot_show_is_not_written(monkeypat
     assert confirmed is not None
     assert confirmed.power is not None
     assert confirmed.power < 0.95
-    assert confirmed.text.startswith("confirmed: kept, no gain that can be shown")
+    assert confirmed.text.startswith("confirmed: the machine stays without a table; kept, no gain that can be shown")
     assert (night.active, night.banks, ended.outcome.proof) == (0, {}, None)
     reference = read_reference(state)
     assert reference is not None

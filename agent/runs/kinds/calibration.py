@@ -269,7 +269,8 @@ def _kept(
 
     def confirmation() -> Confirmation:
         former = FormerBalls.of(job, estimation, measured, ready.correction)
-        return confirm(job, estimation, weighed().gain, weighed().power, former)
+        confirmed = confirm(job, estimation, weighed().gain, weighed().power, former)
+        return replace(confirmed, without_table=ready.found.table is None)
 
     def record(journal: RunJournal, found: Confirmation) -> None:
         journal.decision(CONFIRMED, {**vars(found), "decision": Decision.CONFIRMED.value})
