@@ -11,7 +11,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import structlog
 
@@ -19,6 +19,7 @@ from agent.files import write_atomically
 from drivers.errors import InputError
 
 log = structlog.get_logger()
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -28,16 +29,20 @@ class KeptDocuments:
 
     path: Path
 
-    def read(self, key: object) -> dict[str, Any]:
-        """Return the documents of `key`; none if there are none, or if the file cannot be read."""
+    def read(self, key: object, kind: type[T]) -> dict[str, T]:
+        """Return the documents of `key`, all of the type `kind`; none if there are none, or if the file cannot be read
+        or contains something else."""
         head = _head(key)
         try:
             with self.path.open(encoding="utf-8") as file:
                 if file.read(len(head)) != head:  # megabytes of another key are not decoded
                     return {}
-                return dict(json.loads(head + file.read())["documents"])
-        except (OSError, ValueError, TypeError, KeyError):
+                found = json.loads(head + file.read())["documents"]
+        except (OSError, ValueError, KeyError, RecursionError):
             return {}  # they are made again
+        if not isinstance(found, dict) or not all(isinstance(one, kind) for one in found.values()):
+            return {}
+        return found
 
     def write(self, key: object, documents: Mapping[str, Any]) -> None:
         """Replace the documents in the file. If the file cannot be written, the next start makes them again."""

@@ -66,7 +66,7 @@ class CachedMetrics:
         with self._lock:
             key = self._trends.key(settings)
             if key != self._key:
-                self._key, self._text = key, kept.read(key).get(_TEXT)
+                self._key, self._text = key, kept.read(key, str).get(_TEXT)
             if self._text is None:
                 found = self._trends.current(settings)
                 self._key, self._text = found.key, metrics_text(found.machine, found.runs, found.trends)

@@ -14,6 +14,8 @@ import httpx
 from agent.execution.journal_queries import PACKED_COLUMNS
 from agent.execution.packed_run import PackedRun, expand_stored_text
 from agent.files import read_text
+from agent.history import metrics
+from agent.history.kept_documents import KeptDocuments
 from agent.notifications import outbox
 from agent.notifications.outbox import Outbox
 from agent.service.access import paired_clients
@@ -75,6 +77,7 @@ PROBLEM = {
 STATUS = {"state": "idle", "run": {"id": "20261101T200000Z-0000", "balls": 12}, "alarms": []}
 EVENTS = b'event: status\ndata: {"state": "idle"}\n\n: waiting\n\nevent: state\ndata: {"state":\ndata: "measuring"}\n\n'
 ACTIVE = b"volcal-active-bank 1\nbank 2\ncounts_crc32 0123ABCD\n"
+KEY = "history"
 ANSWERED: Final = "http://127.0.0.1:1"
 
 
@@ -88,6 +91,8 @@ def state_decoders() -> Iterator[Decoder]:
     yield _file("waiting notices (JSON)", outbox.FILE_NAME, OUTBOX, lambda folder: Outbox(folder, ["email"]).count(""))
     ledger = {"accepted": 12, "content": ["start", 1]}
     yield _file("sequence number of panels (JSON)", sequence_ledger.FILE_NAME, ledger, SequenceLedger)
+    for kind, document in ((str, "# HELP volcal_runs runs in history"), (dict, {"trends": [], "runs": {}})):
+        yield Decoder(f"kept documents (JSON, {kind.__name__})", [_kept(document)], _reading_kept(kind))
     yield Decoder("active bank of a driver (text)", [ACTIVE], _active_bank)
     yield Decoder("token (text)", [b"0123456789abcdefghijklmnopqrstuvwxyz\n"], _reading(read_token))
     yield Decoder("head of an OPC UA node set (XML)", [_node_set(0)], _read_node_sets)
@@ -118,6 +123,20 @@ def _in_folder(name: str, data: bytes, read: Callable[[Path], object]) -> object
         path.write_bytes(data)
         path.chmod(0o600)
         return read(Path(folder))
+
+
+def _kept(document: Any) -> bytes:
+    with TemporaryDirectory(prefix="volcal-fuzz-") as folder:
+        path = Path(folder) / metrics.FILE_NAME
+        KeptDocuments(path).write(KEY, {"text": document})
+        return path.read_bytes()
+
+
+def _reading_kept(kind: type) -> Callable[[bytes], object]:
+    read = _reading(lambda path: KeptDocuments(path).read(KEY, kind))
+    # the key is that of the history: what is wrong comes after it
+    head = _kept("")[: _kept("").index(b', "documents"')]
+    return lambda data: read(data if data.startswith(head) else head + b', "documents": ' + data + b"}")
 
 
 def _active_bank(data: bytes) -> object:

@@ -223,8 +223,8 @@ def true_machine(scenario: Scenario) -> TrueMachine:
 class MachineTruth:
     """True error of the machine at its present temperature, and after a collision if there was one.
 
-    `banks` maps the numbers of the controller's banks to their tables as it applies them; it is shared with the controller
-    and not copied. `change` is a function that returns the present change of the deviation field, or None.
+    `banks` maps the numbers of the controller's banks to their tables as it applies them; it is shared with the
+    controller and not copied. `change` is a function that returns the present change of the deviation field, or None.
     The thermal growth of spindle and ram is excluded: it shifts the tip equally at all positions, like a new zero
     point, and a compensation table need not correct such a shift.
     """

@@ -1,5 +1,5 @@
-"""A calibration whose new table makes the machine worse, because the controller subtracts its corrections: status, page,
-list, history and report name the same end."""
+"""A calibration whose new table makes the machine worse, because the controller subtracts its corrections: status,
+page, list, history and report name the same end."""
 
 from __future__ import annotations
 

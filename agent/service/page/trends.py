@@ -21,13 +21,14 @@ Document = dict[str, Any]
 
 FILE_NAME = "trends.json"
 """File of the state directory with the documents of the trends."""
-_OVERVIEW = "overview"
+_OVERVIEW = ""
+"""Key of the document of all errors; no error has this name."""
 
 
 class TrendCache:
-    """Cache of the documents of the trends, also over a restart. A document is made again only if runs in
-    the history or the settings of the history have changed. The trends are taken from `trends`. The cache is safe to
-    use from any thread."""
+    """Cache of the documents of the trends, also over a restart. A document is made again only if runs in the history
+    or the settings of the history have changed. The trends are taken from `trends`. The cache is safe to use from any
+    thread."""
 
     def __init__(self, trends: CachedTrends) -> None:
         self._trends = trends
@@ -36,8 +37,9 @@ class TrendCache:
         self._documents: dict[str, Document] = {}
 
     def document(self, settings: Settings, of: str | None) -> Document:
-        """Return the trends of all parameters of the geometric error `of`. If `of` is None, return the trends of the
-        volumetric errors and of the geometric errors.
+        """Return the trends of all parameters of the geometric error `of`. If `of` is None or empty, return the trends
+        of the volumetric errors and of the geometric errors. A name of which the history has no parameters gives a
+        document without trends, which is not kept.
 
         Raise LinkLost or ConfigurationError if the history cannot be read.
         """
@@ -45,18 +47,21 @@ class TrendCache:
         with self._lock:
             key = self._trends.key(settings)
             if key != self._key:
-                self._key, self._documents = key, kept.read(key)
+                self._key, self._documents = key, kept.read(key, dict)
             if name not in self._documents:
                 current = self._trends.current(settings)
                 if current.key != self._key:  # another run has been stored in between
                     self._key, self._documents = current.key, {}
-                self._documents[name] = _document(current, of)
+                document = _document(current, name)
+                if name != _OVERVIEW and not document["trends"]:
+                    return document  # anything can be asked for
+                self._documents[name] = document
                 kept.write(self._key, self._documents)
             return self._documents[name]
 
 
-def _document(current: MachineTrends, of: str | None) -> Document:
-    trends = [trend for trend in current.trends if _is_selected(trend.series, of)]
+def _document(current: MachineTrends, name: str) -> Document:
+    trends = [trend for trend in current.trends if _is_selected(trend.series, name)]
     return {
         "trends": [_trend(trend) for trend in trends],
         "alarms": [{"series": a.series, "kind": a.kind.value, "text": a.text} for a in alarms_of(trends)],
@@ -81,13 +86,12 @@ def _mark(run: StoredRun) -> str | None:
     return "restored" if run.kind == "restore" and run.state == RunState.COMPLETE.value else None
 
 
-def _is_selected(series: Series, of: str | None) -> bool:
-    """Return True if the series is to be shown for `of`. Names of parameters contain a bracket; names of
-    errors do not.
-    """
-    if of is None:
+def _is_selected(series: Series, name: str) -> bool:
+    """Return True if the document `name` shows the series. Names of parameters contain a bracket; names of errors do
+    not."""
+    if name == _OVERVIEW:
         return series.name in VOLUMETRIC or "[" not in series.name
-    return series.name.startswith(f"{of}[")
+    return series.name.startswith(f"{name}[")
 
 
 def _trend(trend: Trend) -> Document:

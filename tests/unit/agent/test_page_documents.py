@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from service_house import settings_document
 
 from agent.history import cached_trends
 from agent.history.cached_trends import CachedTrends
+from agent.history.kept_documents import KeptDocuments
 from agent.history.metrics import CachedMetrics
 from agent.history.schema import StoredRun
 from agent.history.trends import Trend
@@ -166,3 +168,29 @@ def test_after_a_restart_nothing_is_fitted_again_until_a_run_or_a_setting_has_ch
     (settings.state_directory / "trends.json").write_text("[]")
     TrendCache(CachedTrends()).document(settings, None)
     assert fitted == [3, 4, 4]
+
+
+def test_a_name_that_is_no_error_is_not_kept_and_changes_nothing(tmp_path: Path) -> None:
+    journaled(tmp_path, 0, 4.8, machine="mine")
+    settings = Settings.model_validate(settings_document(tmp_path, history={"machine": "mine"}))
+    trends = TrendCache(CachedTrends())
+    for name in ("overview", "EX", "EXX[1]", "x" * 20):
+        assert trends.document(settings, name)["trends"] == []
+    assert not (settings.state_directory / "trends.json").exists()
+    assert trends.document(settings, None)["trends"]
+    assert trends.document(settings, "") == trends.document(settings, None)
+    trends.document(settings, "EXX")
+    kept = json.loads((settings.state_directory / "trends.json").read_text())
+    assert set(kept["documents"]) == {"", "EXX"}
+
+
+@pytest.mark.parametrize("content", ["[]", '{"": []}', '[["a", "b"]]', "1", "[" * 100_000, "{"])
+def test_kept_documents_of_another_form_are_made_again(tmp_path: Path, content: str) -> None:
+    kept = KeptDocuments(tmp_path / "trends.json")
+    kept.write("history", {"": {"trends": []}})
+    good = kept.path.read_text()
+    assert kept.read("history", dict) == {"": {"trends": []}}
+    assert kept.read("history", str) == {}
+    assert kept.read("another", dict) == {}
+    kept.path.write_text(good[: good.index('{"": ')] + content + "}")
+    assert kept.read("history", dict) == {}
