@@ -20,11 +20,12 @@ ESTIMATE_NAME, TABLE_NAME = "estimate.json", "table.csv"
 @dataclass(frozen=True, eq=False)
 class EstimateAndTable:
     """Estimate of a machine with a compensation table, and the offset (3,) in mm of the tool for which errors are
-    predicted. `table` and its file are None if the machine is predicted without compensation only."""
+    predicted. `table` and its name (its file, as a rule) are None if the machine is predicted without compensation
+    only."""
 
     estimate: StoredEstimate
     table: CompensationTable | None
-    table_file: Path | None
+    table_name: str | None
     tool_offset_mm: Array
 
 
@@ -40,7 +41,8 @@ def read_estimate_and_table(
     stored = _estimate(estimate)
     file = None if without_table else table or _beside(estimate)
     found = None if file is None else _table(file)
-    return EstimateAndTable(stored, found, file, _tool_offset(tool_offset_mm, stored, found))
+    name = None if file is None else str(file)
+    return EstimateAndTable(stored, found, name, _tool_offset(tool_offset_mm, stored, found))
 
 
 def _estimate(path: Path) -> StoredEstimate:

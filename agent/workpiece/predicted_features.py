@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from agent.files import read_text, translated
-from agent.workpiece.estimate_and_table import read_estimate_and_table
+from agent.workpiece.estimate_and_table import EstimateAndTable, read_estimate_and_table
 from twin.arrays import Array
 from twin.units import UM_PER_MM
 from twin.workpiece.best_place import PlaceMap, place_map
@@ -23,36 +23,40 @@ RULE = "ISO 14253-1:2017, conformance probability limit 97.5 %"
 
 
 @dataclass(frozen=True)
-class PredictionRequest:
-    """Files and place of a prediction.
-
-    For the other files and for `tool_offset_mm`, see `read_estimate_and_table`. `origin_mm` is the place of the origin
-    of the workpiece in the coordinates of the machine, and None for the best place on the table; its height is then
-    `height_mm`.
-    If `with_map` is True, the errors at other
-    places are computed as well.
+class WantedPlace:
+    """Place of a workpiece. `origin_mm` is the place of its origin in the coordinates of the machine, for the tip of
+    the tool, and None for the best place on the table; its height is then `height_mm`. If `with_map` is True, the
+    errors at other places are computed as well.
     """
+
+    origin_mm: tuple[float, float, float] | None
+    height_mm: float
+    turned_rad: float
+    with_map: bool
+
+
+@dataclass(frozen=True)
+class PredictionRequest:
+    """Files and place of a prediction. For the files other than `features`, and for `tool_offset_mm`, see
+    `read_estimate_and_table`."""
 
     features: Path
     estimate: Path
     table: Path | None
     without_table: bool
-    origin_mm: tuple[float, float, float] | None
-    height_mm: float
-    turned_rad: float
     tool_offset_mm: tuple[float, float, float] | None
-    with_map: bool
+    place: WantedPlace
 
 
 @dataclass(frozen=True, eq=False)
 class PredictedFeatures:
-    """Predicted errors of the features at `placement`. `table` is the file of the table, and None without one. `places`
-    contains the errors at other places, if they were wanted."""
+    """Predicted errors of the features at `placement`. `table` is the name of the table, as a rule its file, and None
+    without one. `places` contains the errors at other places, if they were wanted."""
 
     predictions: tuple[FeaturePrediction, ...]
     placement: Placement
     tool_offset_mm: Array
-    table: Path | None
+    table: str | None
     places: PlaceMap | None
 
     def as_json(self) -> dict[str, Any]:
@@ -62,7 +66,7 @@ class PredictedFeatures:
             "origin_mm": self.placement.origin_mm.tolist(),
             "turned_deg": degrees(self.placement.turned_rad),
             "tool_offset_mm": self.tool_offset_mm.tolist(),
-            "table": None if self.table is None else str(self.table),
+            "table": self.table,
             "features": [
                 {
                     "name": one.feature.name,
@@ -85,17 +89,26 @@ def predict_file(request: PredictionRequest) -> PredictedFeatures:
     be reached where it stands.
     """
     known = read_estimate_and_table(request.estimate, request.table, request.without_table, request.tool_offset_mm)
+    return predict_text(read_text(request.features), str(request.features), known, request.place)
+
+
+def predict_text(text: str, file: str, known: EstimateAndTable, place: WantedPlace) -> PredictedFeatures:
+    """Return the predicted errors of the features in the text of the file named `file`.
+
+    Raises InputError, which names the file and the row and column, if the text is invalid, or if the workpiece cannot
+    be reached where it stands.
+    """
     estimate, table, offset = known.estimate, known.table, known.tool_offset_mm
-    with translated(file=str(request.features)):
-        features = parse_features(read_text(request.features), str(request.features))
-        placement = Placement(np.array(request.origin_mm or (0.0, 0.0, request.height_mm)), request.turned_rad)
+    with translated(file=file):
+        features = parse_features(text, file)
+        placement = Placement(np.array(place.origin_mm or (0.0, 0.0, place.height_mm)), place.turned_rad)
         places = None
-        if request.with_map or request.origin_mm is None:
+        if place.with_map or place.origin_mm is None:
             places = place_map(estimate, features, placement, offset, table)
-        if request.origin_mm is None and places is not None:
+        if place.origin_mm is None and places is not None:
             placement = places.best_placement
         predictions = predict_features(estimate, features, placement, offset, table)
-    return PredictedFeatures(predictions, placement, offset, known.table_file, places)
+    return PredictedFeatures(predictions, placement, offset, known.table_name, places)
 
 
 def error_document(error: FeatureError) -> dict[str, Any]:

@@ -37,13 +37,13 @@ class AcceptanceRequest:
 
 @dataclass(frozen=True, eq=False)
 class PredictedTests:
-    """Predicted figures and curves of acceptance tests about `centre_mm` (3,). `table` is the file of the table, and
-    None without one."""
+    """Predicted figures and curves of acceptance tests about `centre_mm` (3,). `table` is the name of the table, as
+    a rule its file, and None without one."""
 
     tests: tuple[PredictedTest, ...]
     centre_mm: Array
     tool_offset_mm: Array
-    table: Path | None
+    table: str | None
 
     @property
     def heading(self) -> str:
@@ -56,7 +56,7 @@ class PredictedTests:
         return {
             "centre_mm": self.centre_mm.tolist(),
             "tool_offset_mm": self.tool_offset_mm.tolist(),
-            "table": None if self.table is None else str(self.table),
+            "table": self.table,
             "tests": [_document(one) for one in self.tests],
         }
 
@@ -74,7 +74,7 @@ def predict_acceptance(request: AcceptanceRequest) -> PredictedTests:
     with translated():
         tests = acceptance_tests(ranges, known.tool_offset_mm, centre, radii_mm)
         predicted = predict_tests(known.estimate, tests, known.tool_offset_mm, known.table)
-    return PredictedTests(predicted, centre, known.tool_offset_mm, known.table_file)
+    return PredictedTests(predicted, centre, known.tool_offset_mm, known.table_name)
 
 
 def _fitting_radius(ranges: Ranges, centre: Array) -> float:

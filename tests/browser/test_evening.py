@@ -8,7 +8,9 @@ import re
 from panel_pages import with_token
 from playwright.sync_api import Page, expect
 from service_process import Service
+from volcal_command import volcal_json
 
+HEAD = "name,kind,x_mm,y_mm,z_mm,to_x_mm,to_y_mm,to_z_mm,lower_um,upper_um"
 LONG_MS = 600_000
 """A report is made in a process of its own."""
 
@@ -53,7 +55,7 @@ def bank_shown(page: Page) -> str:
     return page.locator("#content .facts dd").nth(1).inner_text()
 
 
-def select_and_compare(page: Page) -> None:
+def select_and_compare(page: Page, house: Service) -> None:
     """Three runs have ended: a calibration, a night and a restored table."""
     rows = page.locator("#content tbody tr")
     expect(rows).to_have_count(3)
@@ -87,6 +89,42 @@ def select_and_compare(page: Page) -> None:
     rows.nth(2).locator("button.plain").click()
     expect(page.locator("#section-map")).to_have_attribute("aria-current", "page")
     select_a_place_of_the_map(page)
+    predict_a_part(page, house)
+
+
+def predict_a_part(page: Page, house: Service) -> None:
+    """At the best place, at another one by a click, and with a wrong row; the figures are those of the command."""
+    features = house.directory / "part.csv"
+    features.write_text(f"{HEAD}\nA,distance,0,0,0,200,0,0,-500,500\n=B,point,0,0,0,,,,,\nC,flatness,0,0,0,,,,,0.001\n")
+    page.click("#section-part")
+    page.set_input_files("#part-file", features)
+    expect(page.locator("#part-text")).to_have_value(features.read_text())
+    page.click("#part-predict")
+    expect(page.locator("#content .card")).to_have_text("Origin X / mm: “” is not a number.")
+    page.get_by_role("button", name="At the best place").click()
+    expect(page.locator("#part-x")).to_be_disabled()
+    page.fill("#part-z", "400,0")
+    page.click("#part-predict")
+    expect(page.locator("#content .card")).to_contain_text("row 4")
+    text = features.read_text().replace("C,flatness,0,0,0,,,,,0.001", "C,position,0,0,0,,,,,0.001")
+    features.write_text(text)
+    page.fill("#part-text", text)
+    page.click("#part-predict")
+    rows = page.locator("#content tbody tr")
+    expect(rows.locator("td:first-child")).to_have_text(["A", "=B", "C"])
+    expect(rows.nth(0).locator(".mark")).to_have_text(["conforms", "conforms"])
+    expect(rows.nth(1).locator(".mark")).to_have_text(["no tolerance", "no tolerance"])
+    expect(rows.nth(2).locator(".mark")).to_have_text(["does not conform", "does not conform"])
+    best = page.locator("#part-x").input_value()
+    page.locator("#part-map").click(position={"x": 3.0, "y": 3.0})
+    expect(page.locator("#part-x")).not_to_have_value(best)
+    expect(rows.nth(0).locator(".mark")).to_have_text(["conforms", "conforms"])
+    at = ",".join(page.locator(f"#part-{axis}").input_value() for axis in "xyz")
+    run_id = page.locator("#run").input_value()
+    folder = str(house.directory / "state" / run_id)
+    expected = volcal_json("predict", features, "--estimate", folder, f"--at={at}")["features"][0]["without_table"]
+    shown = f"{expected['expected_um']:.1f} ± {expected['expanded_um']:.1f} µm"
+    expect(rows.nth(0).locator("td").nth(3)).to_contain_text(shown.replace("-", "−"))
 
 
 def select_a_place_of_the_map(page: Page) -> None:
@@ -168,7 +206,7 @@ def test_a_calibration_by_hand_a_night_and_a_table_taken_back(page: Page, house:
     with page.expect_download() as diagnostics:
         page.click("#diagnostics")
     assert diagnostics.value.path().read_bytes().startswith(b"PK")
-    select_and_compare(page)
+    select_and_compare(page, house)
 
 
 def test_hold_resume_and_abort_that_asks_nothing(page: Page, house: Service) -> None:

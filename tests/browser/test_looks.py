@@ -14,7 +14,7 @@ from playwright.sync_api import Page, Response, Route, expect
 from agent.language.sentences import catalogue, german
 
 SECTIONS = (
-    *("reports", "map", "curves", "compare", "trend", "parameters"),
+    *("reports", "map", "curves", "part", "compare", "trend", "parameters"),
     *("design", "tables", "events", "alarms", "temperatures", "settings", "plant"),
 )
 MEASURES = (Path(__file__).parent / "measures.js").read_text()

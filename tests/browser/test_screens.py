@@ -19,7 +19,7 @@ from agent.results.run_verdict import VERDICTS
 
 MEASURES = (Path(__file__).parent / "measures.js").read_text()
 SCREENS = ((390, 844), (800, 480), (768, 1024), (1280, 800), (1920, 1080))
-SECTIONS = 13
+SECTIONS = 14
 
 
 def edges(page: Page, selector: str) -> tuple[float, float]:

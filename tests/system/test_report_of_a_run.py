@@ -26,6 +26,8 @@ from agent.reports.run_comparison import compared_run, comparison_of
 from agent.reports.run_report import report_of
 from agent.runs.kinds.verify import Verification
 from agent.runs.session import RunResult
+from agent.service.http.problems import RequestRefused
+from agent.service.page.part_prediction import PartBody, PartPredictions
 from agent.service.page.result_cache import comparison_document
 from drivers.errors import InputError
 from twin.formats.estimate_file import parse_estimate
@@ -88,6 +90,40 @@ def minimal_config(tmp_path: Path, season: Season) -> Path:
         f"[roles]\n{roles}\n[stations]\nplaces_mm = [[700.0, 1000.0, 750.0]]\n"
     )
     return config
+
+
+class TestPredictedPart:
+    FEATURES = "name,kind,x_mm,y_mm,z_mm,to_x_mm,to_y_mm,to_z_mm\nA,distance,0,0,0,300,0,0\nB,position,0,200,0,,,\n"
+    PART = PartBody(file="part.csv", features=FEATURES, origin_mm=(700.0, 400.0, 300.0))
+
+    def test_the_page_predicts_what_the_command_predicts(self, season: Season, tmp_path: Path) -> None:
+        """The command reads the result files of the run, whose table is not rounded to the unit of the controller."""
+        run_id = season.calibrated.outcome.run_id
+        found = PartPredictions().document(season.state, run_id, self.PART)
+        features = tmp_path / "part.csv"
+        features.write_text(self.FEATURES)
+        told = volcal_json("predict", features, "--estimate", season.state / run_id, "--at", "700,400,300")
+        assert (found["table"], found["rule"]) == ("staged", told["rule"])
+        for one, other in zip(found["features"], told["features"], strict=True):
+            assert one["without_table"] == other["without_table"]
+            assert one["with_table"] == pytest.approx(other["with_table"], abs=0.1)
+        assert np.shape(found["places"]["largest"]) == (len(found["places"]["x_mm"]), len(found["places"]["y_mm"]))
+        best = PartPredictions().document(season.state, run_id, self.PART.model_copy(update={"origin_mm": None}))
+        assert best["origin_mm"] == best["places"]["best_mm"]
+
+    def test_what_cannot_be_predicted_is_said(self, season: Season) -> None:
+        predictions, run_id = PartPredictions(), season.calibrated.outcome.run_id
+        for run, changed, words in (
+            (season.verified.outcome.run_id, {}, "has no estimate"),
+            (run_id, {"features": "name,kind\n"}, "column"),
+            (run_id, {"features": self.FEATURES.replace("300", "none")}, "none"),
+            (run_id, {"origin_mm": (9e4, 0.0, 0.0)}, "reach|travel|identified"),
+        ):
+            with pytest.raises(InputError, match=words):
+                predictions.document(season.state, run, self.PART.model_copy(update=changed))
+        with predictions.busy, pytest.raises(RequestRefused, match="another prediction"):
+            predictions.document(season.state, run_id, self.PART)
+        assert predictions.document(season.state, run_id, self.PART)["features"]
 
 
 class TestCompared:

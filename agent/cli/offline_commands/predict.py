@@ -27,7 +27,14 @@ if will_run():
     from agent.cli.offline_commands.error_cells import UNCERTAINTY_HEADING, error_cells
     from agent.cli.printing import columns_table, results_console
     from agent.files import write_all_atomically, write_atomically
-    from agent.workpiece.predicted_features import RULE, PredictedFeatures, PredictionRequest, csv_lines, predict_file
+    from agent.workpiece.predicted_features import (
+        RULE,
+        PredictedFeatures,
+        PredictionRequest,
+        WantedPlace,
+        csv_lines,
+        predict_file,
+    )
     from twin.units import UM_PER_MM
     from twin.workpiece.best_place import PlaceMap
     from twin.workpiece.conformity import Conformity
@@ -119,11 +126,8 @@ def predict_command(
             estimate=estimate,
             table=table,
             without_table=no_table,
-            origin_mm=origin,
-            height_mm=height or 0.0,
-            turned_rad=radians(turned_deg),
             tool_offset_mm=tool_offset,
-            with_map=map_file is not None,
+            place=WantedPlace(origin, height or 0.0, radians(turned_deg), with_map=map_file is not None),
         )
     )
     if out is not None:

@@ -1,5 +1,5 @@
 """Read-only HTTP routes for the engineers' view of the service's web page. They provide curves and maps of the machine
-errors, trends, the expected benefit of the position set, compensation tables and reports.
+errors, predicted errors of a part, trends, the expected benefit of the position set, compensation tables and reports.
 
 The routes belong to the web page and may change with it; they are not part of the documented interface.
 """
@@ -23,6 +23,7 @@ from agent.service.access.roles import CHECK_SETTINGS
 from agent.service.http.app_state import AppStateDependency
 from agent.service.http.permission import permitted
 from agent.service.http.problems import DOCUMENTED
+from agent.service.page.part_prediction import PartBody, PartPredictions
 from agent.service.page.result_cache import ResultCache, comparison_document
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ def page_router() -> APIRouter:
     """Return the router with the read-only routes of the engineers' view of the web page. The router caches the results
     of runs that have ended, because these results never change."""
     router = APIRouter(prefix="/api/page", include_in_schema=False, responses=DOCUMENTED)
-    results, set_values = ResultCache(), SetValueCache()
+    results, set_values, parts = ResultCache(), SetValueCache(), PartPredictions()
     trends = cache(_trend_cache)
 
     @router.get("/runs/{run_id}/curves")
@@ -72,6 +73,11 @@ def page_router() -> APIRouter:
         """Return the deviation without and with the table of the run, and its uncertainty, in µm on a plane of the
         workspace. `normal` is the axis across the plane and `at` the position on it in mm, by default the middle."""
         return results.plane(app_state.archive.directory, run_id, normal, at)
+
+    @router.post("/runs/{run_id}/part")
+    def part(app_state: AppStateDependency, run_id: str, body: PartBody) -> Document:
+        """Return the predicted errors of the features of a part. Nothing moves, and nothing is stored."""
+        return parts.document(app_state.archive.directory, run_id, body)
 
     @router.get("/runs/{run_id}/report.{form}")
     def report(

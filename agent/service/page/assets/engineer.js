@@ -11,6 +11,7 @@ import * as design from "./section-design.js";
 import * as events from "./section-events.js";
 import * as maps from "./section-map.js";
 import * as parameters from "./section-parameters.js";
+import * as part from "./section-part.js";
 import * as plant from "./section-plant.js";
 import * as reports from "./section-reports.js";
 import * as settings from "./section-settings.js";
@@ -20,7 +21,7 @@ import * as trend from "./section-trend.js";
 import { told } from "./sentences.js";
 import { on, seen } from "./store.js";
 
-const SECTIONS = { reports, map: maps, curves, compare: compared, trend, parameters, design, tables, events, alarms, temperatures, settings, plant };
+const SECTIONS = { reports, map: maps, curves, part, compare: compared, trend, parameters, design, tables, events, alarms, temperatures, settings, plant };
 const RUNS = 50, TRIED = 5;
 
 const now = { section: "map", run: null, older: null, runs: [], asked: 0, shown: false };

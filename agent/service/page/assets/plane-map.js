@@ -27,13 +27,15 @@ function figure(plane, top) {
       make("span", {}, say("map.y", { from: number(y[0], 0), to: number(y[1], 0) }))));
 }
 
-/* The scale of maps from 0 to `top` µm. */
-export function scale(top) {
+const micrometres = (value) => say("unit.um", { value: number(value, 1) });
+
+/* The scale of maps from 0 to `top`, whose value `text` writes. */
+export function scale(top, text = micrometres) {
   const bar = make("canvas", { width: 10 * STOPS, height: 1, ariaHidden: "true" });
   const context = bar.getContext("2d");
   for (let i = 0; i < bar.width; i++) {
     context.fillStyle = `rgb(${colourOf(i / (bar.width - 1)).join(" ")})`;
     context.fillRect(i, 0, 1, 1);
   }
-  return make("div", { className: "scale" }, make("span", {}, number(0, 0)), bar, make("span", {}, say("unit.um", { value: number(top, 1) })));
+  return make("div", { className: "scale" }, make("span", {}, number(0, 0)), bar, make("span", {}, text(top)));
 }
