@@ -124,7 +124,7 @@ def predict_a_part(page: Page, house: Service) -> None:
     folder = str(house.directory / "state" / run_id)
     expected = volcal_json("predict", features, "--estimate", folder, f"--at={at}")["features"][0]["without_table"]
     shown = f"{expected['expected_um']:.1f} ± {expected['expanded_um']:.1f} µm"
-    expect(rows.nth(0).locator("td").nth(3)).to_contain_text(shown.replace("-", "−"))
+    expect(rows.nth(0).locator("td").nth(3)).to_contain_text(shown)
 
 
 def select_a_place_of_the_map(page: Page) -> None:

@@ -98,9 +98,9 @@ function show(found, predict) {
   const heads = ["part.feature", "part.kind", "part.tolerance", ...states.flatMap((state) => [`part.${state}`, "part.answer"])];
   found.replaceChildren(
     facts([["part.place", say("part.at", { x: number(x, 1), y: number(y, 1), z: number(z, 1), turned: number(turned, 1) })],
-      ["part.table", say(role === null ? "part.no_table" : `part.table_${role}`)], ["part.rule", say("part.rule_is")]]),
+      ["part.table", say(role === null ? "part.no_table" : `part.table_${role}`)]]),
     table(heads.map((key) => say(key)), features.map((one) => [one.name, say(`part.kind_${one.kind}`), limits(one), ...states.flatMap((state) => [error(one.kind, one[state]), answer(one[state])])])),
-    remark("part.only_geometry"),
+    remark("part.rule"), remark("part.only_geometry"),
     make("h3", {}, say("part.map")), placeMap(places, [x, y], predict),
   );
 }
