@@ -9,10 +9,10 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from twin.arrays import Array
 from twin.artefact.artefact_calibration import COVERAGE_FACTOR, ArtefactCalibration
@@ -45,6 +45,15 @@ FORMAT = "volcal estimate 3"
 _REMEDY = "Identify again from the balls.csv of that run (volcal identify), or calibrate the machine again"
 _ASYMMETRY = 1e-9
 _INDEFINITE = 1e-6
+_ROUNDING = 1e-12
+
+
+def _without_rounding(probability: float) -> float:
+    """Return 1 for a sum of probabilities that exceeds 1 by its rounding, as earlier versions have stored it."""
+    return 1.0 if 1.0 < probability <= 1.0 + _ROUNDING else probability
+
+
+Probability = Annotated[float, AfterValidator(_without_rounding), Field(ge=0.0, le=1.0 + _ROUNDING)]
 
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
@@ -146,7 +155,7 @@ class SuspectedStepSection(StrictModel):
     error: str
     change: float
     unit: Literal["µm", "µrad"]
-    probability: float = Field(ge=0.0, le=1.0)
+    probability: Probability
     last_before: tuple[int, int]
     first_after: tuple[int, int]
 
@@ -177,7 +186,7 @@ class ShiftPatternSection(StrictModel):
 
     text: str
     size_um: float
-    probability: float = Field(ge=0.0, le=1.0)
+    probability: Probability
 
 
 class PatternSection(StrictModel):

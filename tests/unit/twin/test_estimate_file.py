@@ -166,3 +166,16 @@ def test_what_does_not_fit_is_named(bad: Callable[[], str], words: str, key: str
         parse_estimate(bad(), "e.json")
     assert caught.value.where["file"] == "e.json"
     assert caught.value.where.get("key") == key
+
+
+@pytest.mark.parametrize(("stored", "read"), [(1.0, 1.0), (1.0000000000000002, 1.0), (0.25, 0.25), (1.001, None)])
+def test_a_sum_of_probabilities_that_exceeds_1_by_its_rounding_is_read(stored: float, read: float | None) -> None:
+    suspects = [{"text": "the bar is turned", "size_um": 3.0, "probability": stored}]
+    document = changed(shift_pattern={"false_alarm": 0.5, "suspects": suspects})
+    if read is None:
+        with pytest.raises(FormatError, match="probability"):
+            parse_estimate(document, "estimate.json")
+        return
+    pattern = parse_estimate(document, "estimate.json").document.shift_pattern
+    assert pattern is not None
+    assert pattern.suspects[0].probability == read

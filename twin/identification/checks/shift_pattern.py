@@ -165,7 +165,8 @@ def _ranked(patterns: list[ShiftPattern], odds: Array, sizes_um: Array) -> tuple
     named, share = list[ShiftPattern](), 0.0
     for cause, probability in sorted(total.items(), key=lambda entry: -entry[1]):
         number = best[cause]
-        named.append(replace(patterns[number], size_um=float(sizes_um[number]), probability=probability))
+        # a sum can exceed 1 by its rounding
+        named.append(replace(patterns[number], size_um=float(sizes_um[number]), probability=min(probability, 1.0)))
         share += probability
         if share >= _SHARE:
             break

@@ -140,7 +140,7 @@ class _StepHypotheses:
         last = 1 + int(np.searchsorted(likely, 0.5 * (1.0 + _SHARE)))
         return SuspectedStep(
             suspected_jump(self.problem.unknowns, self.coefficients.errors[number], score, information, _JUMP),
-            float(odds.sum()),
+            min(float(odds.sum()), 1.0),  # a sum can exceed 1 by its rounding
             self._place(min(first, instant) - 1),
             self._place(max(last, instant)),
         )
