@@ -25,6 +25,7 @@ ROOMS = (
     "agent/runs",
     "agent/service/access",
     "agent/service/daemon/endpoints.py",
+    "agent/service/gateway",
     "agent/service/http/permission.py",
     "agent/service/http/problems.py",
     "agent/service/opcua/certificates.py",
@@ -52,6 +53,7 @@ ROOMS = (
     "twin/machine/error_model.py",
     "twin/machine/kinematic_chain.py",
     "twin/machine/machine_description.py",
+    "twin/workpiece",
 )
 """Rooms whose sentences reach a person: during a run, when a run is started with its files, and in documents."""
 APART = (
@@ -62,6 +64,7 @@ APART = (
     "agent/runs/offline_identification.py",
     "agent/results/part_programs.py",
     "agent/service/page/setup_app.py",
+    "agent/service/gateway/registers.py",
     "drivers/contract",
     "drivers/linuxcnc/bridge",
     "drivers/linuxcnc/installation",

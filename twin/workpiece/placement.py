@@ -53,7 +53,7 @@ def check_inside(name: str, axis_positions: Array, ranges_mm: Ranges) -> None:
     if left is not None:
         axis, value, (low, high) = left
         raise DataError(
-            f"{name} needs {axis} {value:.1f} mm, but {axis} was identified from {low:g} to {high:g} mm",
+            f"{name} needs {axis} {value:.1f} mm, beyond the identified travel from {low:g} to {high:g} mm",
             hint="Place the workpiece elsewhere, or use a shorter tool",
             axis=axis,
         )

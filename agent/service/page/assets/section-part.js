@@ -9,7 +9,7 @@ import { told } from "./sentences.js";
 import { colourOf } from "./viridis.js";
 
 export const ofRun = true, needsEstimate = true;
-const AXES = ["x", "y", "z"], CELL = 40, PASTED = "part.csv";
+const AXES = ["x", "y", "z"], CELL = 40, PASTED = "CSV";
 /* Kinds that cannot be negative: limits instead of U. */
 const RANGES = new Set(["position", "flatness"]);
 const wanted = { file: PASTED, text: "", best: false, at: { x: "", y: "", z: "" }, turned: "0" };
