@@ -23,6 +23,8 @@ from agent.studies.study import Cell, StudyCase, StudyResult
 from agent.studies.verdict_figure import BrokenAxes, draw_legend, draw_simulated
 from agent.studies.verdict_table import COLUMNS, cells, worst_deviation
 from twin.artefact.position_set import POSITION_SETS, SET_EXPRESSIONS, Position
+from twin.uncertainty.work_frame import WorkFrameForm
+from twin.units import UM_PER_MM
 
 NAME = "strategy"
 PUBLISHED_CHOICE = "S3"
@@ -91,7 +93,13 @@ def run(case: StudyCase) -> StudyResult:
             *(_row(one, variant, n, one.name in fronts[n]) for one in found for n, variant in enumerate(variants)),
             *(_row(one, variants[0], 0, None) for one in fewer),
         ],
-        summary=_summary(found, fewer, variants, fronts, evaluator.before),
+        summary={
+            **_summary(found, fewer, variants, fronts, evaluator.before),
+            "vce_by_frame_um": {
+                variant.label: {one.name: errors_by_frame(evaluator, one.trial, variant) for one in found}
+                for variant in variants
+            },
+        },
         draw=partial(_draw, found=found, fewer=fewer, variants=variants, fronts=fronts, before=evaluator.before),
         size_in=(13.0, 10.4),
     )
@@ -100,6 +108,28 @@ def run(case: StudyCase) -> StudyResult:
 def spread(stations: Sequence[int], count: int) -> tuple[int, ...]:
     """Return `count` of the `stations`, spread over them as evenly as possible, the first and the last included."""
     return tuple(stations[round(at)] for at in np.linspace(0, len(stations) - 1, count))
+
+
+def errors_by_frame(
+    evaluator: ProcedureEvaluator, trial: ProcedureVariant, variant: IdentificationVariant
+) -> dict[str, float] | None:
+    """Return the expected VCE in µm of one procedure by the way in which the six rigid terms are determined.
+
+    `work_offset` sets the zero point alone, in the middle of the travel, as `work_frame` does together with the
+    rotation. `known_places` fits the rigid motion to the measured balls, as if the places of the mount on the machine
+    were known. The result is None if the procedure does not identify the machine.
+    """
+    budget = evaluator.budget(trial, variant)
+    if budget is None or trial.planned is None:
+        return None
+    middle = [0.5 * (low + high) for low, high in evaluator.field.model.ranges_mm]
+    forms = {
+        "work_offset": WorkFrameForm.zeroed_at(evaluator.field, middle),
+        "work_frame": evaluator.work_frame,
+        "known_places": WorkFrameForm.fitted_at(evaluator.field, trial.planned.axis_positions),
+    }
+    by_form = {name: UM_PER_MM * form.expected_mm(budget) for name, form in forms.items()}
+    return {AS_DEFINED.key: budget.expected.raw_um, **by_form, ALIGNED.key: budget.expected.aligned_um}
 
 
 def _strategies(

@@ -156,7 +156,7 @@ def _summary(followed: TrajectoryResult, defined: TrajectoryResult, line: Array)
 
 
 def _draw(figure: Figure, both: tuple[TrajectoryResult, TrajectoryResult], title: str) -> None:
-    panels = figure.subplots(2, 3, sharex=True, sharey=True)
+    panels = figure.subplots(2, 3, sharex=True, sharey="row")
     for row, followed, measure in zip(panels, both, (AS_DEFINED, ALIGNED), strict=True):
         for axis, panel in enumerate(row):
             _draw_direction(panel, followed, axis)

@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from study_case import shipped_job, study_case
 
+from agent.planning.case_file import load_case, shipped_case
 from agent.planning.cycle_time import machine_minutes
 from agent.planning.design.bar_variants import Bar
 from agent.settings.schema import RELOCATION_BY_HAND_MINUTES
@@ -132,6 +133,15 @@ class TestBar:
         assert bar.tilt_deg == pytest.approx(15.0, abs=0.1)
         assert np.abs(bar.with_().balls - certified.balls).max() < 0.1
         assert bar.standard_uncertainty_mm == pytest.approx(0.8e-3)
+
+    @pytest.mark.parametrize("case_name", ["bridge", "mill", "router"])
+    def test_holders_may_point_to_a_vertical_spindle(self, case_name: str) -> None:
+        certified = load_case(shipped_case(case_name).settings).artefact
+        bar = Bar.of(certified)
+        assert bar.tilt_deg == pytest.approx(15.0, abs=0.2)
+        assert np.abs(bar.with_().balls - certified.balls).max() < 0.2
+        straight = bar.with_(balls=5, tilt_deg=0.0).balls
+        assert straight[:, 2] == pytest.approx(certified.holder_length_mm)
 
     @pytest.mark.parametrize("balls", [3, 7, 15])
     def test_the_length_does_not_depend_on_the_number_of_balls(self, balls: int) -> None:
