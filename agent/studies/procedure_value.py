@@ -109,15 +109,17 @@ class ProcedureEvaluator:
         """Return the error budget, in closed form, of the measuring procedure `trial` with the identification options
         of `variant`. Return None if the planned observations do not identify the machine.
         """
-        family = self.case.machine.family
+        family, options = self.case.machine.family, variant.options
         if trial.planned is None:
             return None
+        field = replace(self.field, assumptions=variant.assumptions(self.case.assumptions))
         try:
-            identify(family.model, trial.planned, trial.artefact, family, variant.options)
+            # A prior or a cut-off determines every parameter; without one, only the identification tells.
+            if not options.use_prior and options.cut_off is None:
+                identify(family.model, trial.planned, trial.artefact, family, options)
+            return error_budget_of_form(field, family, trial.artefact, trial.planned, options)
         except SingularSet:
             return None
-        field = replace(self.field, assumptions=variant.assumptions(self.case.assumptions))
-        return error_budget_of_form(field, family, trial.artefact, trial.planned, variant.options)
 
     def evaluate(
         self, trials: Sequence[ProcedureVariant], variants: Sequence[IdentificationVariant], simulated: Sequence[int]
