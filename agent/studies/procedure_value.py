@@ -19,6 +19,7 @@ from twin.artefact.position_set import Position
 from twin.errors import DataError, SingularSet
 from twin.identification import identify
 from twin.machine.anchor import Anchor
+from twin.machine.machine_population import Family
 from twin.machine.volumetric import VolumetricRms, evaluation_grid
 from twin.uncertainty.error_budget import ErrorBudget, error_budget_of_form
 from twin.uncertainty.residual_field_form import FieldForm
@@ -109,17 +110,7 @@ class ProcedureEvaluator:
         """Return the error budget, in closed form, of the measuring procedure `trial` with the identification options
         of `variant`. Return None if the planned observations do not identify the machine.
         """
-        family, options = self.case.machine.family, variant.options
-        if trial.planned is None:
-            return None
-        field = replace(self.field, assumptions=variant.assumptions(self.case.assumptions))
-        try:
-            # A prior or a cut-off determines every parameter; without one, only the identification tells.
-            if not options.use_prior and options.cut_off is None:
-                identify(family.model, trial.planned, trial.artefact, family, options)
-            return error_budget_of_form(field, family, trial.artefact, trial.planned, options)
-        except SingularSet:
-            return None
+        return budget_if_identified(self.field, self.case.machine.family, trial, variant)
 
     def evaluate(
         self, trials: Sequence[ProcedureVariant], variants: Sequence[IdentificationVariant], simulated: Sequence[int]
@@ -189,6 +180,24 @@ class ProcedureEvaluator:
             tool_offset=case.tool_offset,
             seed=case.seed,
         )
+
+
+def budget_if_identified(
+    field: FieldForm, family: Family, trial: ProcedureVariant, variant: IdentificationVariant
+) -> ErrorBudget | None:
+    """Return the error budget, in closed form, of the measuring procedure `trial` on machines with the residual field
+    `field` and the prior `family`. Return None if the planned observations do not identify the machine."""
+    options = variant.options
+    if trial.planned is None:
+        return None
+    stated = replace(field, assumptions=variant.assumptions(field.assumptions))
+    try:
+        # A prior or a cut-off determines every parameter; without one, only the identification tells.
+        if not options.use_prior and options.cut_off is None:
+            identify(family.model, trial.planned, trial.artefact, family, options)
+        return error_budget_of_form(stated, family, trial.artefact, trial.planned, options)
+    except SingularSet:
+        return None
 
 
 def simulate_if_identified(procedure: ProcedureTask, machine: int) -> SimulatedMachine | None:

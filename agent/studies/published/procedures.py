@@ -17,14 +17,12 @@ from agent.planning.design.bar_variants import Bar
 from agent.studies.identification_variants import PUBLISHED, IdentificationVariant
 from agent.studies.measure import MEASURES, Measure
 from agent.studies.monte_carlo import with_stated_scales
-from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant, Verdict
+from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant, Verdict, budget_if_identified
 from agent.studies.study import StudyCase
 from agent.studies.workers import generator
 from twin.arrays import Array
 from twin.artefact.position_set import SET_EXPRESSIONS
-from twin.errors import SingularSet
 from twin.machine.machine_population import Family
-from twin.uncertainty.error_budget import error_budget_of_form
 from twin.uncertainty.work_frame import WorkFrameForm
 from twin.units import UM_PER_MM
 
@@ -102,12 +100,8 @@ class StudiedMachine:
     def compensated(self, variant: int, procedure: int, seed: int) -> RemainingErrors | None:
         """Return the errors after the procedure with this index in `KEYS`; None if it does not identify the machine."""
         trial, chosen, field = self.trials[procedure], self.variants[variant], self.work_frame.field
-        if trial.planned is None:
-            return None
-        field = replace(field, assumptions=chosen.assumptions(field.assumptions))
-        try:
-            budget = error_budget_of_form(field, self.family, trial.artefact, trial.planned, chosen.options)
-        except SingularSet:
+        budget = budget_if_identified(field, self.family, trial, chosen)
+        if budget is None or trial.planned is None:
             return None
         left = Verdict(budget.expected, in_work_frame_mm=self.work_frame.expected_mm(budget))
         rng = generator(seed, 1 + procedure)
