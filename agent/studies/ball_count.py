@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from agent.figures.style import INK, MARKERS, QUIET, SERIES
 from agent.planning.design.bar_variants import Bar
 from agent.studies.identification_variants import IdentificationVariant, identification_variants
-from agent.studies.measure import ALIGNED, AS_DEFINED, MEASURES, Measure, share_of_gain, values_before
+from agent.studies.measure import ALIGNED, AS_DEFINED, MEASURES, ErrorMeasure, share_of_gain, values_before
 from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant, Verdict
 from agent.studies.study import Cell, StudyCase, StudyResult
 from agent.studies.verdict_figure import BrokenAxes, draw_legend
@@ -40,7 +40,7 @@ class Curve:
     before: Verdict
     verdicts: tuple[Verdict, ...]
 
-    def shares(self, measure: Measure) -> tuple[float | None, ...]:
+    def shares(self, measure: ErrorMeasure) -> tuple[float | None, ...]:
         """Return the reduction of the volumetric error for each number of balls as a share of the largest reduction.
 
         A share is None if the machine is not identified with this number of balls, or if no number of balls reduces the
@@ -48,7 +48,7 @@ class Curve:
         """
         return share_of_gain([measure.um(verdict) for verdict in self.verdicts], measure.um(self.before) or 0.0)
 
-    def fewest(self, measure: Measure) -> int | None:
+    def fewest(self, measure: ErrorMeasure) -> int | None:
         """Return the smallest number of balls whose reduction of the volumetric error, as a share of the largest
         reduction, is at least `SUFFICIENT_SHARE`; None if no number reaches this share."""
         shares = zip(COUNTS, self.shares(measure), strict=True)

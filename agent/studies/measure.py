@@ -18,8 +18,8 @@ from twin.units import UM_PER_MM
 
 
 @dataclass(frozen=True)
-class Measure:
-    """Measure of a volumetric error: how much of the rigid motion of the workspace it contains.
+class ErrorMeasure:
+    """ErrorMeasure of a volumetric error: how much of the rigid motion of the workspace it contains.
 
     `key` names it in tables and summaries, and `title` in figures.
     """
@@ -42,9 +42,9 @@ class Measure:
         return error.raw_um if self.key == "raw" else error.aligned_um
 
 
-AS_DEFINED = Measure("raw", "as defined")
-WORK_FRAME = Measure("work_frame", "in the work frame")
-ALIGNED = Measure("aligned", "rigidly aligned")
+AS_DEFINED = ErrorMeasure("raw", "as defined")
+WORK_FRAME = ErrorMeasure("work_frame", "in the work frame")
+ALIGNED = ErrorMeasure("aligned", "rigidly aligned")
 MEASURES = (AS_DEFINED, WORK_FRAME, ALIGNED)
 """As published; with the six rigid terms zero at the reference, as for a workpiece that is zeroed in the middle of the
 travel and aligned along X and Y; and after the best-fitting rigid motion is removed."""

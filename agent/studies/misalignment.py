@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from agent.planning.design.bar_variants import Bar
 from agent.studies.identification_variants import IdentificationVariant, identification_variants
-from agent.studies.measure import ALIGNED, MEASURES, Measure, values_before
+from agent.studies.measure import ALIGNED, MEASURES, ErrorMeasure, values_before
 from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant, Verdict
 from agent.studies.study import StudyCase, StudyResult
 from agent.studies.verdict_figure import BrokenAxes, draw_legend
@@ -47,7 +47,7 @@ def run(case: StudyCase) -> StudyResult:
     )
 
 
-def saving(rows: Verdicts, variant: int, measure: Measure = ALIGNED) -> float | None:
+def saving(rows: Verdicts, variant: int, measure: ErrorMeasure = ALIGNED) -> float | None:
     """Return the share by which the volumetric error after compensation (VCE) with the largest tilt of the ball holders
     is smaller than the VCE without tilt.
 

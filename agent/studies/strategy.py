@@ -17,7 +17,7 @@ from agent.planning.cycle_time import machine_minutes
 from agent.planning.job import Job
 from agent.settings.schema import RELOCATION_BY_CRANE_MINUTES, RELOCATION_BY_HAND_MINUTES
 from agent.studies.identification_variants import IdentificationVariant, identification_variants
-from agent.studies.measure import ALIGNED, AS_DEFINED, MEASURES, Measure, values_before
+from agent.studies.measure import ALIGNED, AS_DEFINED, MEASURES, ErrorMeasure, values_before
 from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant, Verdict
 from agent.studies.study import Cell, StudyCase, StudyResult
 from agent.studies.verdict_figure import BrokenAxes, draw_legend, draw_simulated
@@ -158,7 +158,7 @@ def set_time(job: Job, positions: Sequence[Position]) -> tuple[float, int]:
 
 
 def pareto_front(
-    found: Sequence[Strategy], variant: int, measure: Measure = ALIGNED, carry_minutes: float | None = None
+    found: Sequence[Strategy], variant: int, measure: ErrorMeasure = ALIGNED, carry_minutes: float | None = None
 ) -> tuple[str, ...]:
     """Return the names of the combinations of position sets on the Pareto front of machine time and volumetric error
     after compensation (VCE), in ascending order of machine time. A combination is on the front if every other
@@ -168,7 +168,9 @@ def pareto_front(
     return tuple(one.name for one in _front(found, variant, measure, carry_minutes))
 
 
-def _front(found: Sequence[Strategy], variant: int, measure: Measure, carry_minutes: float | None) -> list[Strategy]:
+def _front(
+    found: Sequence[Strategy], variant: int, measure: ErrorMeasure, carry_minutes: float | None
+) -> list[Strategy]:
     known = [
         (one.minutes if carry_minutes is None else one.minutes_with(carry_minutes), value, one.name, one)
         for one in found

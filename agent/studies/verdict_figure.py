@@ -18,7 +18,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from agent.figures.style import MARKERS, QUIET, SERIES
-from agent.studies.measure import ALIGNED, MEASURES, Measure
+from agent.studies.measure import ALIGNED, MEASURES, ErrorMeasure
 from agent.studies.procedure_value import Verdict
 
 FAR_BEYOND = 1.5
@@ -38,7 +38,7 @@ class BrokenAxes:
     lower: Axes
     upper: Axes | None
     limit_um: float
-    measure: Measure
+    measure: ErrorMeasure
 
     @classmethod
     def add(
@@ -47,7 +47,7 @@ class BrokenAxes:
         slot: SubplotSpec,
         rows: Sequence[Sequence[Verdict]],
         before: Verdict,
-        measure: Measure = ALIGNED,
+        measure: ErrorMeasure = ALIGNED,
     ) -> BrokenAxes:
         """Add the axes to the cell `slot` of the figure's grid.
 
@@ -109,7 +109,7 @@ class BrokenAxes:
 
 
 def draw_simulated(
-    axes: Axes, coordinates: Sequence[float], verdicts: Sequence[Verdict], colour: str, measure: Measure
+    axes: Axes, coordinates: Sequence[float], verdicts: Sequence[Verdict], colour: str, measure: ErrorMeasure
 ) -> None:
     """Draw the simulated volumetric error after compensation as open squares with error bars of two standard errors."""
     for coordinate, verdict in zip(coordinates, verdicts, strict=True):

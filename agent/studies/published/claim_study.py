@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
+from textwrap import fill
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -18,9 +19,10 @@ from agent.studies.published.claims import (
     MUCH,
     SUFFICIENT_SHARE,
     TEXTS,
-    Finding,
+    ClaimFinding,
     examine,
     verdict,
+    verdicts_by_place,
 )
 from agent.studies.published.procedures import evaluate
 from agent.studies.study import StudyCase, StudyResult
@@ -34,6 +36,7 @@ _LABELS = {
     "tilt S2+S3": "reduction of the VCE by 30°",
     "sets": "share of the largest gain with S3",
 }
+_LOWEST = -0.8  # of the ordinate: a share far below says only that the procedure makes the machine much worse
 _SPREAD = 0.22  # distance of the measures around the place of a machine and reading
 
 
@@ -78,7 +81,7 @@ def run(case: StudyCase) -> StudyResult:
     )
 
 
-def _summary(found: Mapping[str, Sequence[Finding]]) -> dict[str, object]:
+def _summary(found: Mapping[str, Sequence[ClaimFinding]]) -> dict[str, object]:
     return {
         "set": "those of each claim",
         "claims": {
@@ -87,19 +90,20 @@ def _summary(found: Mapping[str, Sequence[Finding]]) -> dict[str, object]:
                 "claim": TEXTS[name][1],
                 "criterion": TEXTS[name][2],
                 "verdict": verdict(findings),
-                "published_reading": verdict([one for one in findings if one.reading == "published"]),
-                "volcal_reading": verdict([one for one in findings if one.reading == "volcal"]),
+                "by_machine_and_reading": {
+                    f"{machine}, {reading}": said for (machine, reading), said in verdicts_by_place(findings).items()
+                },
             }
             for name, findings in found.items()
         },
     }
 
 
-def _draw(figure: Figure, found: Mapping[str, Sequence[Finding]], machines: int) -> None:
+def _draw(figure: Figure, found: Mapping[str, Sequence[ClaimFinding]], machines: int) -> None:
     panels = figure.subplots(2, 3).reshape(-1)
     for panel, (name, findings) in zip(panels, found.items(), strict=True):
         section, text, _ = TEXTS[name]
-        panel.set_title(f"{section}: {text}\n{verdict(findings)}", fontsize=8.5)
+        panel.set_title(f"{fill(f'{section}: {text}', 52)}\n{verdict(findings)}", fontsize=8.5)
         if name == DIFFERENCE:
             _draw_answers(panel, findings)
         else:
@@ -107,12 +111,12 @@ def _draw(figure: Figure, found: Mapping[str, Sequence[Finding]], machines: int)
     handles, labels = panels[0].get_legend_handles_labels()
     title = (
         f"{BAND_PERCENT[0]:g} to {BAND_PERCENT[1]:g} % of {machines} machines; "
-        "filled: the claim holds, open: it does not"
+        f"filled: the claim holds, open: it does not; bands end at {_LOWEST:g}"
     )
     figure.legend(handles, labels, loc="outside lower center", ncols=3, title=title)
 
 
-def _draw_findings(panel: Axes, name: str, findings: Sequence[Finding]) -> None:
+def _draw_findings(panel: Axes, name: str, findings: Sequence[ClaimFinding]) -> None:
     places = list(dict.fromkeys((one.machine, one.reading) for one in findings))
     for series, measure in enumerate(MEASURES):
         colour, marker = SERIES[series], MARKERS[series]
@@ -124,15 +128,16 @@ def _draw_findings(panel: Axes, name: str, findings: Sequence[Finding]) -> None:
             panel.plot(at, one.value, marker, color=colour, mfc=colour if one.holds else "white", markersize=6.5)
             if one.answer and not one.holds:
                 panel.annotate(
-                    one.answer, (at, one.value or 0.0), (3, 3), textcoords="offset points", fontsize=6, rotation=90
+                    one.answer, (at, one.value or 0.0), (3, -34), textcoords="offset points", fontsize=6, rotation=90
                 )
     for limit in _LIMITS.get(name, ()):
         panel.axhline(limit, color=INK, linestyle="--", linewidth=0.9)
+    panel.set_ylim(bottom=max(panel.get_ylim()[0], _LOWEST))
     panel.set_xticks(range(len(places)), [f"{machine}\n{reading}" for machine, reading in places], fontsize=7)
     panel.set_ylabel(_LABELS[name])
 
 
-def _draw_answers(panel: Axes, findings: Sequence[Finding]) -> None:
+def _draw_answers(panel: Axes, findings: Sequence[ClaimFinding]) -> None:
     """Write the best number of balls and the best set of each machine."""
     panel.set_axis_off()
     lines = [f"{one.machine}, {one.reading}, {one.measure.replace('_', ' ')}: {one.answer}" for one in findings]

@@ -36,7 +36,7 @@ HOLDS, DOES_NOT_HOLD, DEPENDS = "holds", "does not hold", "depends on"
 
 
 @dataclass(frozen=True)
-class Finding:
+class ClaimFinding:
     """Value of one claim on one machine, in one reading and one measure.
 
     `value` is None if a procedure of the claim identifies nothing. `band` contains its 5 % and 95 % quantiles over
@@ -70,17 +70,17 @@ class Claim:
     values: Callable[[Array, Array], Array]
     within: Callable[[Array], Array]
 
-    def examine(self, outcomes: Outcomes) -> Finding:
+    def examine(self, outcomes: Outcomes) -> ClaimFinding:
         """Return what the errors of one machine, reading and measure say of this claim."""
         where = (outcomes.machine, reading_of(outcomes), outcomes.measure.key)
         expected = [value for value in outcomes.expected(*self.keys) if value is not None]
         machines = outcomes.machines(*self.keys)
         if machines is None:
-            return Finding(*where, None, False)
+            return ClaimFinding(*where, None, False)
         value = self.values(np.array(expected)[:, None], np.array([outcomes.before_um]))
         each = self.values(machines, outcomes.machines_before_um)
         low, high = np.percentile(each, BAND_PERCENT).tolist()
-        return Finding(
+        return ClaimFinding(
             *where, float(value[0]), bool(self.within(value)[0]), (low, high), float(np.mean(self.within(each)))
         )
 
@@ -163,18 +163,18 @@ TEXTS = {
     DIFFERENCE: (
         "6",
         "the best choice differs between machines",
-        "the fewest balls with 95 % of the gain, or the set at the bend, are not those of the machine of the case",
+        "the fewest balls with 95 % of the gain, or the set at the bend, are not those of all machines",
     ),
 }
 """Name → section of the publication, claim and criterion."""
 
 
-def choice_of_set(outcomes: Outcomes) -> Finding:
+def choice_of_set(outcomes: Outcomes) -> ClaimFinding:
     """Return whether S3 is at the bend of cost and error, and its share of the gain of the best combination."""
     where = (outcomes.machine, reading_of(outcomes), outcomes.measure.key)
     machines, costs = outcomes.machines(*SETS), outcomes.costs(*SETS)
     if machines is None:
-        return Finding(*where, None, False)
+        return ClaimFinding(*where, None, False)
     expected = [value or 0.0 for value in outcomes.expected(*SETS)]
     at, chosen = SET_EXPRESSIONS.index(REFERENCE_SET), bent(costs, expected)
     each = [
@@ -184,7 +184,7 @@ def choice_of_set(outcomes: Outcomes) -> Finding:
     low, high = np.percentile(each, BAND_PERCENT).tolist()
     share = float(np.mean([bent(costs, column.tolist()) == at for column in machines.T]))
     value = share_of_gain(expected, outcomes.before_um)[at]
-    return Finding(*where, value, chosen == at, (low, high), share, SET_EXPRESSIONS[chosen])
+    return ClaimFinding(*where, value, chosen == at, (low, high), share, SET_EXPRESSIONS[chosen])
 
 
 def fewest_balls(outcomes: Outcomes) -> int | None:
@@ -194,9 +194,9 @@ def fewest_balls(outcomes: Outcomes) -> int | None:
     return next((count for count, share in shares if share is not None and share >= SUFFICIENT_SHARE), None)
 
 
-def differences(every: Sequence[Outcomes], choices: Sequence[Finding]) -> list[Finding]:
-    """Return, for each machine except the first and for each reading and measure, whether its best number of balls or
-    its best set differs from that of the first machine. `choices` contains the finding on the sets for each outcome."""
+def differences(every: Sequence[Outcomes], choices: Sequence[ClaimFinding]) -> list[ClaimFinding]:
+    """Return, for each machine, reading and measure, whether its best number of balls or its best set differs from that
+    of another machine. `choices` contains the finding on the sets for each outcome."""
     answers = {
         (
             choice.machine,
@@ -205,15 +205,15 @@ def differences(every: Sequence[Outcomes], choices: Sequence[Finding]) -> list[F
         ): f"{fewest_balls(one) or 'no number of'} balls, {choice.answer}"
         for one, choice in zip(every, choices, strict=True)
     }
-    first = every[0].machine
     return [
-        Finding(*where, None, answer != answers[(first, *where[1:])], answer=answer)
+        ClaimFinding(
+            *where, None, any(other != answer for at, other in answers.items() if at[1:] == where[1:]), answer=answer
+        )
         for where, answer in answers.items()
-        if where[0] != first
     ]
 
 
-def examine(every: Sequence[Outcomes]) -> dict[str, list[Finding]]:
+def examine(every: Sequence[Outcomes]) -> dict[str, list[ClaimFinding]]:
     """Return the findings by name of the claim."""
     choices = [choice_of_set(one) for one in every]
     return {
@@ -223,16 +223,23 @@ def examine(every: Sequence[Outcomes]) -> dict[str, list[Finding]]:
     }
 
 
-def verdict(findings: Sequence[Finding]) -> str:
+def verdicts_by_place(findings: Sequence[ClaimFinding]) -> dict[tuple[str, str], str]:
+    """Return the verdict over the measures for each pair of machine and reading."""
+    places = dict.fromkeys((one.machine, one.reading) for one in findings)
+    return {place: verdict([one for one in findings if (one.machine, one.reading) == place]) for place in places}
+
+
+def verdict(findings: Sequence[ClaimFinding]) -> str:
     """Return "holds", "does not hold", or "depends on" with the factors (machine, reading, measure) that alone change
     the finding; if only a change of several does, all are named."""
     if len({one.holds for one in findings}) == 1:
         return HOLDS if findings[0].holds else DOES_NOT_HOLD
     deciding = [factor for number, factor in enumerate(FACTORS) if _decides(findings, number)]
-    return f"{DEPENDS} {' and '.join(deciding or FACTORS)}"
+    *others, last = deciding or FACTORS
+    return f"{DEPENDS} {', '.join(others)}{' and ' if others else ''}{last}"
 
 
-def _decides(findings: Sequence[Finding], number: int) -> bool:
+def _decides(findings: Sequence[ClaimFinding], number: int) -> bool:
     """Return True if two findings that differ in one factor alone contradict each other."""
     held: dict[tuple[str, ...], set[bool]] = {}
     for one in findings:

@@ -15,7 +15,7 @@ import numpy as np
 from agent.planning.case_file import load_case, shipped_case
 from agent.planning.design.bar_variants import Bar
 from agent.studies.identification_variants import PUBLISHED, IdentificationVariant
-from agent.studies.measure import MEASURES, Measure
+from agent.studies.measure import MEASURES, ErrorMeasure
 from agent.studies.monte_carlo import with_stated_scales
 from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant, Verdict, budget_if_identified
 from agent.studies.study import StudyCase
@@ -54,9 +54,9 @@ KEYS = (
 
 @dataclass(frozen=True, eq=False)
 class RemainingErrors:
-    """Volumetric errors in µm, keyed by `Measure.key`: `expected_um` is the root of the mean square over machines in
-    closed form, and `machines_um`, shape (m,), contains the error of each of m machines. `cost` is the number of ball
-    centres that are measured, 0 without a procedure.
+    """Volumetric errors in µm, keyed by `ErrorMeasure.key`: `expected_um` is the root of the mean square over machines
+    in closed form, and `machines_um`, shape (m,), contains the error of each of m machines. `cost` is the number of
+    ball centres that are measured, 0 without a procedure.
     """
 
     expected_um: Mapping[str, float]
@@ -138,7 +138,7 @@ class Outcomes:
 
     machine: str
     variant: IdentificationVariant
-    measure: Measure
+    measure: ErrorMeasure
     before: RemainingErrors
     after: Mapping[ProcedureKey, RemainingErrors | None]
 

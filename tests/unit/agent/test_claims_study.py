@@ -12,7 +12,7 @@ from study_case import study_case
 
 from agent.studies.measure import ALIGNED, MEASURES
 from agent.studies.published import claims
-from agent.studies.published.claims import DOES_NOT_HOLD, HOLDS, Finding, verdict
+from agent.studies.published.claims import DOES_NOT_HOLD, HOLDS, ClaimFinding, verdict
 from agent.studies.published.procedures import (
     COUNTS,
     KEYS,
@@ -37,8 +37,8 @@ def outcomes(after: dict[ProcedureKey, RemainingErrors | None], before: Remainin
     return Outcomes("one", made.variants[0], ALIGNED, before, every | after)
 
 
-def finding(machine: str, reading: str, measure: str, holds: bool) -> Finding:
-    return Finding(machine, reading, measure, 1.0, holds)
+def finding(machine: str, reading: str, measure: str, holds: bool) -> ClaimFinding:
+    return ClaimFinding(machine, reading, measure, 1.0, holds)
 
 
 class TestBend:

@@ -20,7 +20,7 @@ from agent.studies.identification_variants import identification_variants
 from agent.studies.measure import MEASURES
 from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant
 from agent.studies.published import claims
-from agent.studies.published.claims import Finding
+from agent.studies.published.claims import ClaimFinding
 from agent.studies.published.procedures import KEYS, ProcedureKey, StudiedMachine
 from agent.studies.study import StudyCase
 from agent.studies.workers import LocalWorkers
@@ -123,15 +123,14 @@ def test_the_errors_by_frame_are_those_of_the_program() -> None:
 def test_the_claims_of_the_page_are_those_of_the_stored_data_and_of_the_program() -> None:
     text = (DOCS / "explanation" / "published-studies.md").read_text().split("## The claims, one by one\n")[1]
     shown = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line[:2] == "| "]
-    verdicts = {cells[0]: cells[-3:] for cells in shown}
+    verdicts = {cells[0]: cells[-7:] for cells in shown}
     assert set(claims.TEXTS) <= set(verdicts)
     for name in claims.TEXTS:
         rows = [row for row in table("claims") if row["claim"] == name]
         found = [
-            Finding(row["on_machine"], row["reading"], row["measure"], None, row["holds"] == "yes") for row in rows
+            ClaimFinding(row["on_machine"], row["reading"], row["measure"], None, row["holds"] == "yes") for row in rows
         ]
-        by_reading = [[one for one in found if one.reading == reading] for reading in ("published", "volcal")]
-        assert verdicts[name] == [claims.verdict(one) for one in (*by_reading, found)], name
+        assert verdicts[name] == [*claims.verdicts_by_place(found).values(), claims.verdict(found)], name
     made = StudiedMachine.of(case())
     tilts = [KEYS.index(ProcedureKey("S2", tilt_deg=tilt)) for tilt in (0.0, 30.0)]
     for number, reading in enumerate(("published", "volcal")):
