@@ -20,7 +20,7 @@ from agent.studies.identification_variants import IdentificationVariant, identif
 from agent.studies.measure import ALIGNED, AS_DEFINED, MEASURES, ErrorMeasure, values_before
 from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant, Verdict
 from agent.studies.study import Cell, StudyCase, StudyResult
-from agent.studies.verdict_figure import BrokenAxes, draw_legend, draw_simulated
+from agent.studies.verdict_figure import BrokenAxes, draw_legend
 from agent.studies.verdict_table import COLUMNS, cells, worst_deviation
 from twin.artefact.position_set import POSITION_SETS, SET_EXPRESSIONS, Position
 from twin.uncertainty.work_frame import WorkFrameForm
@@ -32,6 +32,7 @@ LEAST_STATIONS = 2
 CARRYING = {"none": 0.0, "by hand": RELOCATION_BY_HAND_MINUTES, "by crane": RELOCATION_BY_CRANE_MINUTES}
 """Times in minutes of carrying the artefact to another station that are compared."""
 
+_NAMED_FRONTS = ("none", "by crane")  # the names of a third front would overlap
 _NAME_OFFSET = 5  # points between a marker and the corner of its name
 _CROWDED_SHARE = 0.04  # of the longest machine time: the name of a set with a later set this near is at its lower left
 
@@ -42,7 +43,8 @@ class Strategy:
     (volumetric error after compensation) for each variant of the identification options.
 
     `set_minutes` is the machine time without carrying the artefact. `carries` is the number of times that the artefact
-    is carried to another station, and `carry_minutes` is the time of each. `stations` is the number of stations.
+    is carried to a station, the first included unless it stands there, and `carry_minutes` is the time of each.
+    `stations` is the number of stations.
     """
 
     name: str
@@ -255,20 +257,23 @@ def _draw_stations(axes: Axes, every: Sequence[Strategy], label: str) -> None:
         times = [one.minutes_with(minutes) for one in front]
         values = [ALIGNED.um(one.verdicts[0]) or 0.0 for one in front]
         axes.plot(times, values, color=SERIES[series], marker=MARKERS[series], label=f"{what}, {minutes:g} min")
-        for one, time, value in zip(front, times, values, strict=True):
-            axes.annotate(
-                f"{one.name} at {one.stations}",
-                (time, value),
-                (_NAME_OFFSET, _NAME_OFFSET),
-                textcoords="offset points",
-                fontsize=7,
-                color=SERIES[series],
-                rotation=35,
-            )
+        if what in _NAMED_FRONTS:
+            left = minutes == 0.0
+            for one, time, value in zip(front, times, values, strict=True):
+                axes.annotate(
+                    f"{one.name} at {one.stations}",
+                    (time, value),
+                    (-_NAME_OFFSET, -_NAME_OFFSET) if left else (_NAME_OFFSET, _NAME_OFFSET),
+                    textcoords="offset points",
+                    ha="right" if left else "left",
+                    va="top" if left else "baseline",
+                    fontsize=6.5,
+                    color=SERIES[series],
+                )
     axes.set_title(f"Sets at {LEAST_STATIONS} and more stations, {label}", fontsize=9.5)
     axes.set_xlabel("machine time / min")
     from_zero(axes, f"VCE, {ALIGNED.title} / µm")
-    axes.set_xlim(left=0.0, right=1.15 * axes.get_xlim()[1])
+    axes.set_xlim(left=-12.0, right=1.15 * axes.get_xlim()[1])
     axes.legend(title="time of carrying to the next station", loc="upper right")
 
 
@@ -279,16 +284,10 @@ def _draw_variant(panel: BrokenAxes, found: Sequence[Strategy], variant: int, na
     best = sorted((one for one in found if one.name in names), key=lambda one: one.minutes)
     others = [one for one in found if one.name not in names and measure.um(one.verdicts[variant]) is not None]
     panel.draw_curve([one.minutes for one in best], [one.verdicts[variant] for one in best], variant)
-    for axes in panel.parts:
-        axes.plot(
-            [one.minutes for one in others],
-            [measure.um(one.verdicts[variant]) or 0.0 for one in others],
-            "x",
-            color=SERIES[variant],
-            markersize=5,
-        )
-        for one in others:
-            draw_simulated(axes, [one.minutes], [one.verdicts[variant]], SERIES[variant], measure)
+    for one in others:
+        value = measure.um(one.verdicts[variant]) or 0.0
+        panel.axes_for(value).plot(one.minutes, value, "x", color=SERIES[variant], markersize=5)
+    panel.draw_simulated([one.minutes for one in others], [one.verdicts[variant] for one in others], SERIES[variant])
     near = _CROWDED_SHARE * max(one.minutes for one in found)
     for one in found:
         value = measure.um(one.verdicts[variant])

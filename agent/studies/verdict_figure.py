@@ -90,7 +90,26 @@ class BrokenAxes:
         expected = [np.nan if value is None else value for value in map(self.measure.um, verdicts)]
         for axes in self.parts:
             axes.plot(coordinates, expected, color=SERIES[series], marker=MARKERS[series])
-            draw_simulated(axes, coordinates, verdicts, SERIES[series], self.measure)
+
+        self.draw_simulated(coordinates, verdicts, SERIES[series])
+
+    def draw_simulated(self, coordinates: Sequence[float], verdicts: Sequence[Verdict], colour: str) -> None:
+        """Draw the simulated volumetric error after compensation as open squares with error bars of two standard
+        errors."""
+        for coordinate, verdict in zip(coordinates, verdicts, strict=True):
+            value, error = self.measure.of(verdict.simulated), self.measure.of(verdict.standard_error)
+            if value is not None and error is not None:
+                self.axes_for(value).errorbar(
+                    [coordinate],
+                    [value],
+                    [TWO_STANDARD_ERRORS * error],
+                    color=colour,
+                    fmt="s",
+                    ms=8,
+                    mfc="none",
+                    capsize=3,
+                    elinewidth=1.0,
+                )
 
     def draw_before(self, before: Verdict) -> None:
         self.lower.axhline(self.measure.um(before) or 0.0, color=QUIET, linestyle="--")
@@ -106,26 +125,6 @@ class BrokenAxes:
             axes.set_xlim(low, high)
             if ticks is not None:
                 axes.set_xticks(ticks)
-
-
-def draw_simulated(
-    axes: Axes, coordinates: Sequence[float], verdicts: Sequence[Verdict], colour: str, measure: ErrorMeasure
-) -> None:
-    """Draw the simulated volumetric error after compensation as open squares with error bars of two standard errors."""
-    for coordinate, verdict in zip(coordinates, verdicts, strict=True):
-        value, error = measure.of(verdict.simulated), measure.of(verdict.standard_error)
-        if value is not None and error is not None:
-            axes.errorbar(
-                [coordinate],
-                [value],
-                [TWO_STANDARD_ERRORS * error],
-                color=colour,
-                fmt="s",
-                ms=8,
-                mfc="none",
-                capsize=3,
-                elinewidth=1.0,
-            )
 
 
 def draw_legend(figure: Figure, titles: Sequence[str], before: Verdict) -> None:

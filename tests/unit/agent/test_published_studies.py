@@ -364,8 +364,8 @@ class TestStrategy:
         timing = made.job.settings.timing.model_copy(update={"relocation_minutes": 7.0})
         job = replace(made.job, settings=made.job.settings.model_copy(update={"timing": timing}))
         minutes, carries = strategy.set_time(made.job, parse_position_set("S1", 3))
-        assert carries == 2
-        assert minutes + 2 * 7.0 == pytest.approx(machine_minutes(job, parse_position_set("S1", 3)).total)
+        assert carries == 3  # nobody has said that the artefact stands at the first station
+        assert minutes + 3 * 7.0 == pytest.approx(machine_minutes(job, parse_position_set("S1", 3)).total)
 
     def test_an_operator_without_a_time_is_taken_for_a_person(self) -> None:
         assert case().job.settings.timing.relocation_minutes == 0.0
