@@ -65,7 +65,7 @@ class BrokenAxes:
         else:
             parts = slot.subgridspec(2, 1, height_ratios=(1.0, 2.4), hspace=0.06)
             lower, upper = figure.add_subplot(parts[1]), figure.add_subplot(parts[0])
-            _break(lower, upper, (0.75 * min(beyond), 2.0 * max(beyond)))
+            _break(lower, upper, (max(0.75 * min(beyond), limit_um), 2.0 * max(beyond)))
         lower.set_ylim(0.0, limit_um)
         return cls(lower, upper, limit_um, measure)
 
