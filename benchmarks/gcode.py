@@ -22,7 +22,8 @@ import numpy as np
 
 from gcode.correction import correct_program
 from gcode.setup import CorrectionOptions, PartSetup
-from twin.compensation.table import Anchor, CompensationTable, regular_nodes
+from twin.compensation.table import CompensationTable, regular_nodes
+from twin.machine.anchor import Anchor
 
 SETUP = PartSetup({"G54": (500.0, 300.0, 200.0)})
 OPTIONS = CorrectionOptions(max_chord_error_mm=0.002)

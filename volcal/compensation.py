@@ -13,9 +13,10 @@ from twin.compensation.controllers.export_format import ControllerExport, Export
 from twin.compensation.controllers.format_options import ExportOptions
 from twin.compensation.controllers.loss import require_same_machine
 from twin.compensation.controllers.registry import FORMATS
-from twin.compensation.table import Anchor, CompensationTable, MeasuredRegion, build_table, regular_nodes
+from twin.compensation.table import CompensationTable, MeasuredRegion, build_table, regular_nodes
 from twin.errors import DataError
 from twin.formats.ball_file import BallFile
+from twin.machine.anchor import Anchor
 from volcal.estimation import AnyEstimate, tool_offset
 from volcal.files import PathName
 

@@ -27,7 +27,7 @@ from drivers.clock import utc_timestamp
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
-from twin.compensation.table import Anchor, CompensationTable, MeasuredRegion, Nodes, build_table, regular_nodes
+from twin.compensation.table import CompensationTable, MeasuredRegion, Nodes, build_table, regular_nodes
 from twin.formats.estimate_file import (
     VolumetricSection,
     ball_shift_documents,
@@ -39,6 +39,7 @@ from twin.formats.estimate_file import (
 from twin.identification import Estimate, Options, expected_rms, identify, identify_by_evidence, regional_forms
 from twin.identification.checks.measured_shape import check_shape
 from twin.identification.predicted import FieldSums, expected_vce, field_forms, field_sums
+from twin.machine.anchor import Anchor
 from twin.machine.error_model import ErrorModel
 from twin.machine.machine_description import MachineDescription
 from twin.machine.volumetric import QuadraticForm, evaluation_grid

@@ -51,9 +51,10 @@ from twin.arrays import Array
 from twin.artefact.effect_test import expected_power
 from twin.artefact.held_out_check import held_out_residuals
 from twin.artefact.observations import Observations
-from twin.compensation.table import Anchor, MeasuredRegion, Nodes, linear_corrections
+from twin.compensation.table import MeasuredRegion, Nodes, linear_corrections
 from twin.identification import Estimate, expected_rms, regional_forms, residual_covariance
 from twin.identification.predicted import FieldSums, field_sums
+from twin.machine.anchor import Anchor
 from twin.machine.forward_model import deviation_basis
 from twin.machine.volumetric import evaluation_grid
 from twin.units import UM_PER_MM

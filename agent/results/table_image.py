@@ -7,7 +7,8 @@ import numpy as np
 from agent.errors import GateRefused
 from drivers.roles import StoreLimits, TableImage
 from twin.arrays import Array
-from twin.compensation.table import Anchor, CompensationTable
+from twin.compensation.table import CompensationTable
+from twin.machine.anchor import Anchor
 
 
 def image_of(table: CompensationTable, limits: StoreLimits) -> TableImage:

@@ -247,12 +247,24 @@ class VerificationSettings(StrictModel):
     min_gain: float = Field(default=0.25, ge=0.0, lt=1.0)
 
 
+RELOCATION_BY_HAND_MINUTES = 3.0
+RELOCATION_BY_CRANE_MINUTES = 10.0
+"""Minutes to move mount and artefact to another station, by one person and with a crane.
+
+Both are estimates by work elements, not measurements. By hand: stop and open the door 0.5, unclamp 0.5, carry and put
+down on the locators 1, clamp 0.5, close the door and confirm 0.5. With a crane: the same without carrying 2, fetch the
+crane and attach the slings 3, lift and travel 3, lower and detach 2. A crane is needed above the reference mass of
+25 kg of ISO 11228-1. The runs of a machine replace the estimate (`volcal timing`).
+"""
+
+
 class TimingSettings(StrictModel):
     """Parameters of the cycle time prediction. The speeds of the linear axes come from the machine file.
 
     `speed_deg_per_s` and `acceleration_deg_per_s2` are those of the mount. Each latency is added to the motion time of
     its command; `turn_latency_s` includes the settling of the mount. `relocation_minutes` is the time needed to move
-    the artefact to another station; the simulated operator needs no time.
+    the artefact to another station. The default is an estimate for one person without a crane, 3 minutes; with a crane,
+    10 minutes are typical. State 0 for an operator who is simulated without `carrying_minutes`.
     """
 
     speed_deg_per_s: PositiveFloat = 20.0
@@ -260,7 +272,7 @@ class TimingSettings(StrictModel):
     command_latency_s: float = Field(default=0.0, ge=0.0, le=60.0)
     touch_latency_s: float = Field(default=0.0, ge=0.0, le=60.0)
     turn_latency_s: float = Field(default=0.0, ge=0.0, le=600.0)
-    relocation_minutes: float = Field(default=0.0, ge=0.0, le=600.0)
+    relocation_minutes: float = Field(default=RELOCATION_BY_HAND_MINUTES, ge=0.0, le=600.0)
 
 
 class NightlySettings(StrictModel):

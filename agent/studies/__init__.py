@@ -10,6 +10,7 @@ STUDIES: dict[str, str] = {
     "valuation": "agent.studies.valuation:run",
     "uncertainty": "agent.studies.uncertainty:run",
     "ball-count": "agent.studies.ball_count:run",
+    "claims": "agent.studies.published.claim_study:run",
     "coverage": "agent.studies.coverage:run",
     "misalignment": "agent.studies.misalignment:run",
     "monte-carlo": "agent.studies.monte_carlo:run",

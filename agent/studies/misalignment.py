@@ -10,11 +10,11 @@ from matplotlib.figure import Figure
 
 from agent.planning.design.bar_variants import Bar
 from agent.studies.identification_variants import IdentificationVariant, identification_variants
+from agent.studies.measure import ALIGNED, MEASURES, ErrorMeasure, values_before
 from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant, Verdict
 from agent.studies.study import StudyCase, StudyResult
 from agent.studies.verdict_figure import BrokenAxes, draw_legend
-from agent.studies.verdict_table import COLUMNS, aligned_um, cells, worst_deviation
-from twin.machine.volumetric import VolumetricRms
+from agent.studies.verdict_table import COLUMNS, cells, worst_deviation
 
 NAME = "misalignment"
 TILTS_DEG = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
@@ -43,38 +43,43 @@ def run(case: StudyCase) -> StudyResult:
         ],
         summary=_summary(variants, by_set, evaluator.before),
         draw=partial(_draw, variants=variants, by_set=by_set, before=evaluator.before),
-        size_in=(10.0, 4.4),
+        size_in=(12.6, 8.4),
     )
 
 
-def saving(rows: Verdicts, variant: int) -> float | None:
+def saving(rows: Verdicts, variant: int, measure: ErrorMeasure = ALIGNED) -> float | None:
     """Return the share by which the volumetric error after compensation (VCE) with the largest tilt of the ball holders
     is smaller than the VCE without tilt.
 
-    The VCE is taken after the best-fitting rigid motion is removed. `variant` is the index of the identification
-    variant. Return None if the machine is not identified with the largest tilt or without tilt.
+    The VCE is taken in `measure`. `variant` is the index of the identification variant. Return None if the machine is
+    not identified with the largest tilt or without tilt.
     """
-    straight, tilted = aligned_um(rows[0][variant]), aligned_um(rows[-1][variant])
+    straight, tilted = measure.um(rows[0][variant]), measure.um(rows[-1][variant])
     return None if straight is None or tilted is None else 1.0 - tilted / straight
 
 
 def _summary(
-    variants: Sequence[IdentificationVariant], by_set: Mapping[str, Verdicts], before: VolumetricRms
+    variants: Sequence[IdentificationVariant], by_set: Mapping[str, Verdicts], before: Verdict
 ) -> dict[str, object]:
     return {
         "set": " and ".join(SETS),
-        "ve_raw_um": before.raw_um,
-        "ve_aligned_um": before.aligned_um,
-        "saved_by_largest_tilt": {
-            variant.label: {name: saving(rows, number) for name, rows in by_set.items()}
-            for number, variant in enumerate(variants)
-        },
-        "vce_aligned_um": {
-            variant.label: {
-                name: {f"{tilt:g}": aligned_um(rows[TILTS_DEG.index(tilt)][number]) for tilt in CHECKED_DEG}
-                for name, rows in by_set.items()
+        **values_before(before),
+        **{
+            f"saved_by_largest_tilt{suffix}": {
+                variant.label: {name: saving(rows, number, measure) for name, rows in by_set.items()}
+                for number, variant in enumerate(variants)
             }
-            for number, variant in enumerate(variants)
+            for suffix, measure in zip(("_as_defined", "_in_work_frame", ""), MEASURES, strict=True)
+        },
+        **{
+            f"vce_{measure.key}_um": {
+                variant.label: {
+                    name: {f"{tilt:g}": measure.um(rows[TILTS_DEG.index(tilt)][number]) for tilt in CHECKED_DEG}
+                    for name, rows in by_set.items()
+                }
+                for number, variant in enumerate(variants)
+            }
+            for measure in MEASURES
         },
         "not_identified": {
             variant.label: [
@@ -90,14 +95,16 @@ def _summary(
 
 
 def _draw(
-    figure: Figure, variants: Sequence[IdentificationVariant], by_set: Mapping[str, Verdicts], before: VolumetricRms
+    figure: Figure, variants: Sequence[IdentificationVariant], by_set: Mapping[str, Verdicts], before: Verdict
 ) -> None:
-    slots, every = figure.add_gridspec(1, len(by_set)), [row for rows in by_set.values() for row in rows]
-    for number, (name, rows) in enumerate(by_set.items()):
-        panel = BrokenAxes.add(figure, slots[number], every, before)
-        for series, _ in enumerate(variants):
-            panel.draw_curve(TILTS_DEG, [row[series] for row in rows], series)
-        panel.draw_before(before)
-        panel.label(name, "tilt of the holders θ / °")
-        panel.set_abscissa(TILTS_DEG[0] - 1.5, TILTS_DEG[-1] + 1.5, TILTS_DEG)
+    slots = figure.add_gridspec(len(by_set), len(MEASURES))
+    every = [row for rows in by_set.values() for row in rows]
+    for line, (name, rows) in enumerate(by_set.items()):
+        for column, measure in enumerate(MEASURES):
+            panel = BrokenAxes.add(figure, slots[line, column], every, before, measure)
+            for series, _ in enumerate(variants):
+                panel.draw_curve(TILTS_DEG, [row[series] for row in rows], series)
+            panel.draw_before(before)
+            panel.label(f"{name}, {measure.title}", "tilt of the holders θ / °")
+            panel.set_abscissa(TILTS_DEG[0] - 1.5, TILTS_DEG[-1] + 1.5, TILTS_DEG)
     draw_legend(figure, [variant.title for variant in variants], before)

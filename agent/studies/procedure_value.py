@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
+
 from agent.studies.identification_variants import IdentificationVariant
 from agent.studies.monte_carlo import ErrorSample, ProcedureTask, SimulatedMachine
 from agent.studies.study import StudyCase
@@ -16,9 +18,12 @@ from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
 from twin.errors import DataError, SingularSet
 from twin.identification import identify
+from twin.machine.anchor import Anchor
+from twin.machine.machine_population import Family
 from twin.machine.volumetric import VolumetricRms, evaluation_grid
 from twin.uncertainty.error_budget import ErrorBudget, error_budget_of_form
 from twin.uncertainty.residual_field_form import FieldForm
+from twin.uncertainty.work_frame import WorkFrameForm
 
 MIN_MACHINES = 2
 """Minimum number of machines for a standard error."""
@@ -50,13 +55,15 @@ class Verdict:
     `expected` is the square root of the expected mean square VCE, computed in closed form. It is None if the
     measurements do not identify the machine. `simulated` is the rms VCE of `machines` simulated machines, and
     `standard_error` is the standard error of this rms value. `simulated` and `standard_error` are None if the procedure
-    was not simulated.
+    was not simulated. `in_work_frame_mm` is the counterpart of `expected` for a workpiece that is set up in the middle
+    of the travel (`twin.uncertainty.work_frame`); it is 0 if `expected` is None.
     """
 
     expected: VolumetricRms | None
     simulated: VolumetricRms | None = None
     standard_error: VolumetricRms | None = None
     machines: int = 0
+    in_work_frame_mm: float = 0.0
 
     def with_simulation(self, spread: ErrorSample | None) -> Verdict:
         """Return the verdict with simulation results added. `spread` contains the volumetric error after compensation
@@ -65,7 +72,9 @@ class Verdict:
         """
         if spread is None:
             return Verdict(None)
-        return Verdict(self.expected, spread.expected, spread.standard_error, len(spread.raw_mm))
+        return replace(
+            self, simulated=spread.expected, standard_error=spread.standard_error, machines=len(spread.raw_mm)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,24 +95,22 @@ class ProcedureEvaluator:
         grid = evaluation_grid(case.machine.model.ranges_mm)
         return FieldForm.build(case.machine.model, case.assumptions, grid, case.tool_offset)
 
-    @property
-    def before(self) -> VolumetricRms:
+    @cached_property
+    def work_frame(self) -> WorkFrameForm:
+        """The same for a workpiece that is zeroed in the middle of the travel and aligned along X and Y."""
+        middle = [0.5 * (low + high) for low, high in self.case.machine.model.ranges_mm]
+        return WorkFrameForm.aligned_by(self.field, Anchor(np.array(middle)))
+
+    @cached_property
+    def before(self) -> Verdict:
         """Expected volumetric error (VE) without compensation. It is the square root of the expected mean square VE."""
-        return self.field.uncompensated()
+        return Verdict(self.field.uncompensated(), in_work_frame_mm=self.work_frame.uncompensated_mm())
 
     def budget(self, trial: ProcedureVariant, variant: IdentificationVariant) -> ErrorBudget | None:
         """Return the error budget, in closed form, of the measuring procedure `trial` with the identification options
         of `variant`. Return None if the planned observations do not identify the machine.
         """
-        family = self.case.machine.family
-        if trial.planned is None:
-            return None
-        try:
-            identify(family.model, trial.planned, trial.artefact, family, variant.options)
-        except SingularSet:
-            return None
-        field = replace(self.field, assumptions=variant.assumptions(self.case.assumptions))
-        return error_budget_of_form(field, family, trial.artefact, trial.planned, variant.options)
+        return budget_if_identified(self.field, self.case.machine.family, trial, variant)
 
     def evaluate(
         self, trials: Sequence[ProcedureVariant], variants: Sequence[IdentificationVariant], simulated: Sequence[int]
@@ -133,7 +140,9 @@ class ProcedureEvaluator:
 
     def _expected(self, trial: ProcedureVariant, variant: IdentificationVariant) -> Verdict:
         budget = self.budget(trial, variant)
-        return Verdict(None if budget is None else budget.expected)
+        if budget is None:
+            return Verdict(None)
+        return Verdict(budget.expected, in_work_frame_mm=self.work_frame.expected_mm(budget))
 
     def _spreads(
         self,
@@ -171,6 +180,24 @@ class ProcedureEvaluator:
             tool_offset=case.tool_offset,
             seed=case.seed,
         )
+
+
+def budget_if_identified(
+    field: FieldForm, family: Family, trial: ProcedureVariant, variant: IdentificationVariant
+) -> ErrorBudget | None:
+    """Return the error budget, in closed form, of the measuring procedure `trial` on machines with the residual field
+    `field` and the prior `family`. Return None if the planned observations do not identify the machine."""
+    options = variant.options
+    if trial.planned is None:
+        return None
+    stated = replace(field, assumptions=variant.assumptions(field.assumptions))
+    try:
+        # A prior or a cut-off determines every parameter; without one, only the identification tells.
+        if not options.use_prior and options.cut_off is None:
+            identify(family.model, trial.planned, trial.artefact, family, options)
+        return error_budget_of_form(stated, family, trial.artefact, trial.planned, options)
+    except SingularSet:
+        return None
 
 
 def simulate_if_identified(procedure: ProcedureTask, machine: int) -> SimulatedMachine | None:

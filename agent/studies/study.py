@@ -14,6 +14,7 @@ from agent.model_files import load_positions
 from agent.planning.design.design_result import Prove
 from agent.planning.job import Job
 from agent.settings.load import POSITION_FILES
+from agent.settings.schema import RELOCATION_BY_HAND_MINUTES
 from agent.studies import STUDIES
 from agent.studies.workers import Workers
 from twin.arrays import Array
@@ -96,6 +97,15 @@ class StudyCase:
     def stations(self) -> tuple[int, ...]:
         """Numbers of the stations at which named position sets, such as S1, are measured."""
         return tuple(self.job.settings.procedure.stations or self.procedure.stations)
+
+    @property
+    def relocation_minutes(self) -> float:
+        """Minutes to carry the artefact to another station.
+
+        They are those of the settings. A simulated operator, for whom the settings state 0, is replaced by a person
+        without a crane, so that sets at different numbers of stations can be compared.
+        """
+        return self.job.settings.timing.relocation_minutes or RELOCATION_BY_HAND_MINUTES
 
     def map(self, task: Callable[[Item], Result], items: Sequence[Item], what: str = "machines") -> list[Result]:
         """Apply `task` to all items with the workers of the study, and return the results in the order of the items.

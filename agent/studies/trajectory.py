@@ -8,12 +8,14 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from agent.figures.style import BAND_OPACITY, INK, SERIES
 from agent.planning.design.bar_variants import Bar
 from agent.studies.identification_variants import IdentificationVariant, identification_variants
+from agent.studies.measure import ALIGNED, AS_DEFINED
 from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant, simulate_if_identified
 from agent.studies.study import Cell, StudyCase, StudyResult
 from agent.studies.workers import generator
@@ -31,8 +33,8 @@ LINE_STYLES = (":", "--", "-")
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryResult:
-    """Deviations at n points of a trajectory, as arrays (n, 3) in µm. The best-fitting rigid motion of the workspace is
-    removed from all deviations.
+    """Deviations at n points of a trajectory, as arrays (n, 3) in µm, either as defined or after the best-fitting rigid
+    motion of the workspace is removed from all of them.
 
     `z_mm` (n,) contains the Z coordinates of the points. `machine_um` contains the true deviations of the simulated
     machine. `models_um` and `sigma_um` are mappings whose keys are numbers of balls on the measured bar. `models_um`
@@ -67,15 +69,16 @@ def run(case: StudyCase) -> StudyResult:
     """
     variant, line = identification_variants(case.options)[0], middle_line(case.machine.model.ranges_mm)
     followed = compare_along(case, variant, line)
+    defined = compare_along(case, variant, line, aligned=False)
     where = f"X = {line[0, 0]:g} mm, Y = {line[0, 1]:g} mm"
     return StudyResult(
         name=NAME,
         title="Deviation along Z: machine and compensation model",
         columns=_columns(),
-        rows=_rows(followed),
-        summary=_summary(followed, line),
-        draw=partial(_draw, followed=followed, title=f"One machine at {where}, rigidly aligned; {variant.title}"),
-        size_in=(10.0, 4.4),
+        rows=[[*left, *right[1:]] for left, right in zip(_rows(followed), _rows(defined), strict=True)],
+        summary=_summary(followed, defined, line),
+        draw=partial(_draw, both=(defined, followed), title=f"One machine at {where}; {variant.title}"),
+        size_in=(10.0, 8.0),
     )
 
 
@@ -89,12 +92,15 @@ def middle_line(ranges_mm: Ranges) -> Array:
     return line
 
 
-def compare_along(case: StudyCase, variant: IdentificationVariant, line: Array) -> TrajectoryResult:
+def compare_along(
+    case: StudyCase, variant: IdentificationVariant, line: Array, *, aligned: bool = True
+) -> TrajectoryResult:
     """Return the deviations of simulated machine number 0, and of its models identified with bars of 3, 5 and 11 balls,
-    at the n axis positions `line` (n, 3) in mm.
+    at the n axis positions `line` (n, 3) in mm. If `aligned`, the best-fitting rigid motion of the workspace is
+    removed.
     """
     evaluator, bar, positions = ProcedureEvaluator(case), Bar.of(case.artefact), case.positions()
-    basis, deflection = evaluator.field.columns_at(line, aligned=True)
+    basis, deflection = evaluator.field.columns_at(line, aligned)
     truth = draw_truth(case.assumptions, generator(case.seed, 0), case.tool_offset).parameters
     models, sigma = {}, {}
     for done, count in enumerate(COUNTS):
@@ -104,7 +110,7 @@ def compare_along(case: StudyCase, variant: IdentificationVariant, line: Array) 
         found = None if budget is None else simulate_if_identified(evaluator.procedure(trial, variant), 0)
         if budget is not None and found is not None:
             models[count] = 1e3 * (basis[:, :, evaluator.field.model_indices] @ found.estimate)
-            sigma[count] = 1e3 * budget.field_uncertainty(line, aligned=True)
+            sigma[count] = 1e3 * budget.field_uncertainty(line, aligned)
     case.progress("numbers of balls", len(COUNTS), len(COUNTS))
     machine = 1e3 * (basis[:, :, evaluator.field.true_indices] @ truth + deflection)
     return TrajectoryResult(line[:, 2], machine, models, sigma)
@@ -119,7 +125,7 @@ def _columns() -> tuple[str, ...]:
     for count in COUNTS:
         names += [f"{count}_balls_{axis}_um" for axis in AXES]
         names += [f"{count}_balls_expected_rms_{axis}_um" for axis in AXES]
-    return ("z_mm", *names)
+    return ("z_mm", *names, *(f"as_defined_{name}" for name in names))
 
 
 def _rows(followed: TrajectoryResult) -> list[list[Cell]]:
@@ -134,7 +140,7 @@ def _missing_values(followed: TrajectoryResult) -> Array:
     return np.full_like(followed.machine_um, np.nan)
 
 
-def _summary(followed: TrajectoryResult, line: Array) -> dict[str, object]:
+def _summary(followed: TrajectoryResult, defined: TrajectoryResult, line: Array) -> dict[str, object]:
     return {
         "machine_number": 0,
         "x_mm": float(line[0, 0]),
@@ -142,27 +148,48 @@ def _summary(followed: TrajectoryResult, line: Array) -> dict[str, object]:
         "rms_before_um": _rms(followed.machine_um),
         "rms_left_um": {str(count): followed.residual_um(count) for count in COUNTS},
         "rms_left_expected_um": {str(count): followed.expected_residual_um(count) for count in COUNTS},
+        "rms_before_as_defined_um": _rms(defined.machine_um),
+        "rms_left_as_defined_um": {str(count): defined.residual_um(count) for count in COUNTS},
+        "rms_left_expected_as_defined_um": {str(count): defined.expected_residual_um(count) for count in COUNTS},
         "not_identified": [count for count in COUNTS if count not in followed.models_um],
     }
 
 
-def _draw(figure: Figure, followed: TrajectoryResult, title: str) -> None:
-    panels = figure.subplots(1, 3, sharey=True)
-    for axis, panel in enumerate(panels):
-        _draw_direction(panel, followed, axis)
-    panels[0].set_ylabel("deviation / µm")
+def _draw(figure: Figure, both: tuple[TrajectoryResult, TrajectoryResult], title: str) -> None:
+    panels = figure.subplots(2, 3, sharex=True, sharey="row")
+    for row, followed, measure in zip(panels, both, (AS_DEFINED, ALIGNED), strict=True):
+        for axis, panel in enumerate(row):
+            _draw_direction(panel, followed, axis)
+            panel.set_title(f"{AXES[axis]} direction, {measure.title}")
+        row[0].set_ylabel(f"deviation, {measure.title} / µm")
+    for panel in panels[-1]:
+        panel.set_xlabel("Z / mm")
     figure.suptitle(title, fontsize=9.5)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    figure.legend(*_labels(panels[-1][0], *both), loc="outside lower center", ncols=2)
+
+
+def _labels(panel: Axes, defined: TrajectoryResult, followed: TrajectoryResult) -> tuple[list[Artist], list[str]]:
+    """Return the handles and labels of the legend; a label of a model gives the rms left in both measures."""
+    handles, labels = panel.get_legend_handles_labels()
+    named = {
+        f"model C, {count} balls": (
+            f"model C, {count} balls; rms left here {_shown(defined.residual_um(count))} µm as defined, "
+            f"{_shown(followed.residual_um(count))} µm aligned"
+        )
+        for count in COUNTS
+    }
+    return handles, [named.get(label, label) for label in labels]
+
+
+def _shown(value_um: float | None) -> str:
+    return "-" if value_um is None else f"{value_um:.1f}"
 
 
 def _draw_direction(panel: Axes, followed: TrajectoryResult, axis: int) -> None:
     z_mm = followed.z_mm
     panel.plot(z_mm, followed.machine_um[:, axis], color=INK, linewidth=2.6, label="machine M")
     for series, (count, model) in enumerate(followed.models_um.items()):
-        left = f", {followed.residual_um(count):.1f} µm rms left here"
-        panel.plot(
-            z_mm, model[:, axis], LINE_STYLES[series], color=SERIES[series], label=f"model C, {count} balls{left}"
-        )
+        panel.plot(z_mm, model[:, axis], LINE_STYLES[series], color=SERIES[series], label=f"model C, {count} balls")
     if COUNTS[-1] in followed.models_um:
         middle, reach = (
             followed.models_um[COUNTS[-1]][:, axis],
@@ -172,5 +199,3 @@ def _draw_direction(panel: Axes, followed: TrajectoryResult, axis: int) -> None:
         panel.fill_between(
             z_mm, middle - reach, middle + reach, color=SERIES[2], alpha=BAND_OPACITY, linewidth=0, label=band
         )
-    panel.set_title(f"{AXES[axis]} direction")
-    panel.set_xlabel("Z / mm")

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from agent.studies.measure import MEASURES
 from agent.studies.procedure_value import ProcedureVariant, Verdict
 from agent.studies.study import Cell
 from twin.machine.volumetric import VolumetricRms
@@ -14,6 +15,7 @@ COLUMNS = (
     "identification",
     "ball_centres",
     "vce_raw_um",
+    "vce_work_frame_um",
     "vce_aligned_um",
     "simulated_vce_raw_um",
     "simulated_vce_raw_standard_error_um",
@@ -33,15 +35,9 @@ def cells(label: str, trial: ProcedureVariant, verdict: Verdict) -> tuple[Cell, 
     `trial`), in the order of the column names `COLUMNS`. `label` is the name of the identification variant.
     """
     measured = 0 if trial.planned is None else trial.planned.size
+    expected = [measure.um(verdict) for measure in MEASURES]
     simulated, error = _both(verdict.simulated), _both(verdict.standard_error)
-    return (label, measured, *_both(verdict.expected), simulated[0], error[0], simulated[1], error[1])
-
-
-def aligned_um(verdict: Verdict) -> float | None:
-    """Return the volumetric error after compensation of `verdict` in µm. It is the closed-form value, computed after
-    the best-fitting rigid motion is removed. Return None if the machine is not identified.
-    """
-    return None if verdict.expected is None else verdict.expected.aligned_um
+    return (label, measured, *expected, simulated[0], error[0], simulated[1], error[1])
 
 
 def worst_deviation(rows: Sequence[Sequence[Verdict]]) -> float | None:

@@ -14,14 +14,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.figures.style import BLUE, INK, ORANGE
+from agent.figures.style import BLUE, GREEN, INK, ORANGE
+from agent.studies.measure import MEASURES
 from agent.studies.plane_map import PLANE_SHAPE, Plane, draw_plane, map_nodes
+from agent.studies.procedure_value import ProcedureEvaluator
 from agent.studies.study import StudyCase, StudyResult
 from agent.studies.workers import generator
 from twin.arrays import Array
 from twin.machine.machine_population import Family
-from twin.machine.volumetric import QuadraticForm, evaluation_grid
 from twin.uncertainty.residual_field_form import FieldForm
+from twin.uncertainty.work_frame import WorkFrameForm
 
 NAME = "volumetric-error"
 PUBLISHED_MEDIAN_UM = 11.9
@@ -31,12 +33,13 @@ PERCENTS = (0.0, 1.0, 2.5, *np.arange(5.0, 100.0, 5.0).tolist(), 97.5, 99.0, 100
 @dataclass(frozen=True, eq=False)
 class FamilyErrors:
     """Parameters and volumetric errors of m machines drawn from a family. `parameters` (m, p) contains the p error
-    parameters of each machine. `raw_um` contains the volumetric error of each machine in µm. `aligned_um` contains the
-    volumetric error of each machine in µm after the best-fitting rigid motion is removed.
+    parameters of each machine. `raw_um` contains the volumetric error of each machine in µm as defined, and
+    `work_frame_um` and `aligned_um` contain it in the other measures of `agent.studies.measure`.
     """
 
     parameters: Array
     raw_um: Array
+    work_frame_um: Array
     aligned_um: Array
 
     @property
@@ -51,32 +54,37 @@ def run(case: StudyCase) -> StudyResult:
     """
     what, family = "volumetric error", case.assumptions.family
     case.progress(what, 0, 2)
-    grid = evaluation_grid(family.model.ranges_mm)
-    field = FieldForm.build(family.model, case.assumptions, grid, case.tool_offset)
+    evaluator = ProcedureEvaluator(case)
+    field = evaluator.field
     case.progress(what, 1, 2)
-    found = draw_family(family, field.form, case.machines, generator(case.seed, 0))
+    found = draw_family(family, evaluator.work_frame, case.machines, generator(case.seed, 0))
     planes = median_planes(field, found.parameters[found.typical])
     case.progress(what, 2, 2)
-    raw, aligned = (np.percentile(values, PERCENTS).tolist() for values in (found.raw_um, found.aligned_um))
+    errors = [np.percentile(values, PERCENTS).tolist() for values in _all(found)]
     return StudyResult(
         name=NAME,
         title="Volumetric error of the family",
-        columns=("percent_of_machines", "ve_raw_um", "ve_aligned_um"),
-        rows=list(zip(PERCENTS, raw, aligned, strict=True)),
+        columns=("percent_of_machines", *(f"ve_{measure.key}_um" for measure in MEASURES)),
+        rows=list(zip(PERCENTS, *errors, strict=True)),
         summary=_summary(found),
         draw=partial(_draw, found=found, planes=planes),
         size_in=(10.0, 4.6),
     )
 
 
-def draw_family(family: Family, form: QuadraticForm, machines: int, rng: np.random.Generator) -> FamilyErrors:
+def draw_family(family: Family, form: WorkFrameForm, machines: int, rng: np.random.Generator) -> FamilyErrors:
     """Draw random machines of a family and return their parameters and volumetric errors. `form` gives the squared
     error as a quadratic form of the parameters. It includes the deflection of the machine, which is the same for all
     machines.
     """
     parameters = family.draw(rng, machines)
-    raw_mm, aligned_mm = form.values(parameters)
-    return FamilyErrors(parameters, 1e3 * raw_mm, 1e3 * aligned_mm)
+    raw_mm, aligned_mm = form.field.form.values(parameters)
+    return FamilyErrors(parameters, 1e3 * raw_mm, 1e3 * form.values_mm(parameters), 1e3 * aligned_mm)
+
+
+def _all(found: FamilyErrors) -> tuple[Array, Array, Array]:
+    """Return the volumetric errors in the order of `MEASURES`."""
+    return found.raw_um, found.work_frame_um, found.aligned_um
 
 
 def median_planes(field: FieldForm, parameters: Array) -> tuple[Plane, Plane]:
@@ -100,15 +108,17 @@ def median_planes(field: FieldForm, parameters: Array) -> tuple[Plane, Plane]:
 
 def _summary(found: FamilyErrors) -> dict[str, object]:
     medians = {
-        "median_ve_raw_um": float(np.median(found.raw_um)),
-        "median_ve_aligned_um": float(np.median(found.aligned_um)),
+        **{
+            f"median_ve_{measure.key}_um": float(np.median(values))
+            for measure, values in zip(MEASURES, _all(found), strict=True)
+        },
         "published_median_um": PUBLISHED_MEDIAN_UM,
         "map_of_machine": found.typical,
         "map_ve_raw_um": float(found.raw_um[found.typical]),
     }
     middle = {
-        f"{name}_p{percent:02d}_um": float(np.percentile(values, percent))
-        for name, values in (("ve_raw", found.raw_um), ("ve_aligned", found.aligned_um))
+        f"ve_{measure.key}_p{percent:02d}_um": float(np.percentile(values, percent))
+        for measure, values in zip(MEASURES, _all(found), strict=True)
         for percent in (5, 95)
     }
     return {**medians, **middle}
@@ -127,12 +137,9 @@ def _draw(figure: Figure, found: FamilyErrors, planes: tuple[Plane, Plane]) -> N
 def _draw_distribution(axes: Axes, found: FamilyErrors) -> None:
     below_legend = 0.76
     bins = np.linspace(0.0, float(found.raw_um.max()), 1 + round(2.5 * len(found.raw_um) ** (1 / 3))).tolist()
-    for values, colour, label in (
-        (found.aligned_um, ORANGE, "rigidly aligned"),
-        (found.raw_um, BLUE, "as defined"),
-    ):
+    for values, colour, measure in zip(_all(found), (BLUE, GREEN, ORANGE), MEASURES, strict=True):
         median = float(np.median(values))
-        axes.hist(values, bins, color=colour, alpha=0.55, label=f"{label}, median {median:.1f} µm")
+        axes.hist(values, bins, color=colour, alpha=0.45, label=f"{measure.title}, median {median:.1f} µm")
         axes.axvline(median, ymax=below_legend, color=colour, linewidth=1.2)
     published = f"published median {PUBLISHED_MEDIAN_UM} µm"
     axes.axvline(PUBLISHED_MEDIAN_UM, ymax=below_legend, color=INK, linestyle="--", label=published)

@@ -31,8 +31,9 @@ from campaigns.foreign.artefact import measure_at, tilted_bar
 from campaigns.foreign.machine import TOOL, DrawnMachine
 from campaigns.foreign.score import family_of
 from campaigns.foreign.trials import GENERATORS, places_of
-from twin.compensation.table import Anchor, CompensationTable, MeasuredRegion, build_table, regular_nodes
+from twin.compensation.table import CompensationTable, MeasuredRegion, build_table, regular_nodes
 from twin.identification import Estimate, identify_by_evidence
+from twin.machine.anchor import Anchor
 from twin.workpiece.acceptance import acceptance_tests
 from twin.workpiece.conformity import Conformity
 from twin.workpiece.features import Measure, Tolerance

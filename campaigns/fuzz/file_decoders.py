@@ -22,7 +22,7 @@ from gcode.correction import correct_program
 from gcode.setup import CorrectionOptions
 from gcode.setup_file import parse_part_setup
 from simulators.scenario import read_scenario
-from twin.compensation.table import Anchor, CompensationTable
+from twin.compensation.table import CompensationTable
 from twin.compensation.table_file import format_side_file, format_table, parse_table
 from twin.formats.artefact_file import parse_artefact
 from twin.formats.ball_file import parse_balls
@@ -30,6 +30,7 @@ from twin.formats.deflection_file import parse_deflection
 from twin.formats.estimate_file import parse_estimate
 from twin.formats.machine_file import parse_machine
 from twin.formats.position_set_file import parse_positions
+from twin.machine.anchor import Anchor
 from twin.machine.machine_description import MachineDescription
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"

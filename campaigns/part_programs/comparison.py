@@ -18,8 +18,9 @@ from gcode.correction import correct_program
 from gcode.setup import SYSTEMS as ALL_SYSTEMS
 from gcode.setup import CorrectionOptions, PartSetup
 from twin.arrays import Array
-from twin.compensation.table import Anchor, CompensationTable, regular_nodes
+from twin.compensation.table import CompensationTable, regular_nodes
 from twin.errors import FormatError
+from twin.machine.anchor import Anchor
 
 CHORD_MM = 0.004
 PRINTED_MM = 0.5e-4

@@ -19,7 +19,8 @@ import pytest
 from twin.compensation.controllers.export_format import ExportSource, TableEstimate
 from twin.compensation.controllers.format_options import ExportOptions
 from twin.compensation.controllers.registry import FORMATS
-from twin.compensation.table import Anchor, CompensationTable, build_table
+from twin.compensation.table import CompensationTable, build_table
+from twin.machine.anchor import Anchor
 from twin.machine.error_model import ErrorModel
 from twin.machine.kinematic_chain import parse_chain
 

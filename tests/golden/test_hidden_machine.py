@@ -20,8 +20,9 @@ from twin.artefact.artefact import Artefact, ball_bar
 from twin.artefact.mount_geometry import MountGeometry
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import is_reachable, mount_pose, parse_position_set, station_locations
-from twin.compensation.table import Anchor, build_table, regular_nodes
+from twin.compensation.table import build_table, regular_nodes
 from twin.identification import Estimate, Options, field_uncertainty, identify, identify_by_evidence, predicted_vce
+from twin.machine.anchor import Anchor
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import exact_deviation
 from twin.machine.kinematic_chain import parse_chain

@@ -13,7 +13,8 @@ from requirements import skip_if_missing
 from twin.compensation.controllers import linuxcnc_comp
 from twin.compensation.controllers.export_format import ExportSource
 from twin.compensation.controllers.format_options import ExportOptions
-from twin.compensation.table import Anchor, build_table, regular_nodes
+from twin.compensation.table import build_table, regular_nodes
+from twin.machine.anchor import Anchor
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import exact_deviation
 from twin.machine.kinematic_chain import parse_chain

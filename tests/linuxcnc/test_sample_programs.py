@@ -15,8 +15,9 @@ from scipy.spatial import cKDTree
 from campaigns.part_programs.rs274 import RS274, Executed, execute, farthest
 from gcode.correction import correct_program
 from gcode.setup import SYSTEMS, CorrectionOptions, PartSetup
-from twin.compensation.table import Anchor, CompensationTable, regular_nodes
+from twin.compensation.table import CompensationTable, regular_nodes
 from twin.errors import FormatError
+from twin.machine.anchor import Anchor
 
 pytestmark = skip_if_missing("" if RS274 else "its interpreter rs274 is not installed")
 

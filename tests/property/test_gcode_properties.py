@@ -13,7 +13,8 @@ from scipy.interpolate import RegularGridInterpolator
 
 from gcode.correction import correct_program
 from gcode.setup import CorrectionOptions, PartSetup
-from twin.compensation.table import Anchor, CompensationTable
+from twin.compensation.table import CompensationTable
+from twin.machine.anchor import Anchor
 
 NODES = (np.array([0.0, 90.0, 200.0, 350.0, 500.0]), np.array([0.0, 130.0, 300.0]), np.array([0.0, 70.0, 150.0, 250.0]))
 WORK = {"G54": (60.0, 50.0, 40.0), "G55": (61.5, 48.25, 43.0), "G59.1": (70.0, 60.0, 50.0)}

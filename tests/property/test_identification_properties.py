@@ -13,9 +13,10 @@ from scipy.spatial.transform import Rotation
 from twin.artefact.artefact import ball_bar
 from twin.artefact.observations import Observations
 from twin.artefact.sphere_fit import fit_sphere
-from twin.compensation.table import Anchor, build_table, regular_nodes
+from twin.compensation.table import build_table, regular_nodes
 from twin.identification import Options, identify
 from twin.identification.poses import RowLayout, rigid_poses
+from twin.machine.anchor import Anchor
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import exact_deviation
 from twin.machine.kinematic_chain import parse_chain

@@ -25,8 +25,9 @@ from twin.artefact.artefact import Artefact
 from twin.artefact.change_test import ChangeTest
 from twin.artefact.held_out_check import HeldOutCovariance, held_out_covariance, held_out_residuals
 from twin.artefact.observations import Observations
-from twin.compensation.table import Anchor, CompensationTable, build_table, regular_nodes
+from twin.compensation.table import CompensationTable, build_table, regular_nodes
 from twin.identification import identify, residual_covariance
+from twin.machine.anchor import Anchor
 
 MACHINES, REPEATS, MAX_CHI2 = 10, 3, 2.0
 STATIONS_MM = ((700.0, 1000.0, 750.0), (1567.0, 1000.0, 750.0), (2433.0, 1000.0, 750.0), (3300.0, 1000.0, 750.0))

@@ -3,7 +3,6 @@ tool reaches its nominal position."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +12,7 @@ from numpy.typing import ArrayLike
 from twin.arrays import Array, as_points, as_vector
 from twin.display import Displayed
 from twin.errors import DataError, ModelError
+from twin.machine.anchor import Anchor, anchoring_motion
 from twin.machine.deviation_basis import deviation_basis
 from twin.machine.error_model import ErrorModel, Ranges
 from twin.machine.forward_model import exact_deviation
@@ -21,37 +21,11 @@ from twin.machine.rigid_motion import rigid_fields
 
 Nodes = tuple[Array, Array, Array]
 
-_LINE_POINTS = 65  # points on an anchor line; the slope of any series is exact to far below a nanometre
 _STEPS = 3  # iterations of c = rigid motion - d(X + c); each reduces the error to 1e-4, the slope of d
 # of the ball bar of the case study: a node within half a ball pitch of the hull has measured balls around it
 _HALF_BALL_PITCH_MM = 75.0
 _LARGEST_STEP_MM = 100.0
 _LEAST_CELLS = 12
-
-
-@dataclass(frozen=True, eq=False)
-class Anchor:
-    """Anchor of a compensation table: six constraints on its corrections.
-
-    The measurement of an artefact in unknown poses cannot reveal a rigid motion of the whole workspace. The six
-    constraints determine this rigid motion. At the axis position `point_mm` (3,), the three components of the
-    correction are zero (three constraints). On the line through this point along the `primary` axis, the straight line
-    fitted to the corrections has zero slope in both perpendicular directions (two constraints). On the line through the
-    point along the `secondary` axis, the straight line fitted to the corrections has zero slope in the direction
-    perpendicular to both axes (one constraint).
-    """
-
-    point_mm: Array
-    primary: str = "X"
-    secondary: str = "Y"
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "point_mm", as_vector(self.point_mm, 3, "anchor point"))
-        if self.primary not in AXES or self.secondary not in AXES or self.primary == self.secondary:
-            raise ModelError(
-                f"an anchor needs two different axes, not '{self.primary}' and '{self.secondary}'",
-                hint="for example primary X, secondary Y",
-            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,7 +183,9 @@ def build_table(
     _check_anchor(anchor, nodes)
     shape = (len(nodes[0]), len(nodes[1]), len(nodes[2]))
     points = np.stack(np.meshgrid(*nodes, indexing="ij"), axis=-1).reshape(-1, 3)
-    moved = _anchoring_motion(lambda at: exact_deviation(model, at, offset, values)[:, :, None], nodes, anchor)[:, 0]
+    moved = anchoring_motion(lambda at: exact_deviation(model, at, offset, values)[:, :, None], _ends(nodes), anchor)[
+        :, 0
+    ]
     motion = _rigid(points, anchor, moved)
     # fixed point of c = r(X) - d(X + c)
     correction = np.zeros_like(points)
@@ -236,11 +212,17 @@ def linear_corrections(
     To first order in the parameters, the correction at X is c(X) = r(X) - d(X), see `build_table`.
     """
     points, offset = as_points(axis_positions, "axis positions"), as_vector(tool_offset, 3, "tool offset")
-    motion = _anchoring_motion(lambda at: deviation_basis(model, at, offset), nodes, anchor)
+    motion = anchoring_motion(lambda at: deviation_basis(model, at, offset), _ends(nodes), anchor)
     return np.asarray(
         np.einsum("nij,jp->nip", rigid_fields(points, anchor.point_mm, 1.0), motion)
         - deviation_basis(model, points, offset)
     )
+
+
+def _ends(nodes: Nodes) -> Ranges:
+    """Return the first and the last node of each axis in mm."""
+    x, y, z = ((float(line[0]), float(line[-1])) for line in nodes)
+    return x, y, z
 
 
 def _check_anchor(anchor: Anchor, nodes: Nodes) -> None:
@@ -248,46 +230,6 @@ def _check_anchor(anchor: Anchor, nodes: Nodes) -> None:
         if not node[0] <= value <= node[-1]:
             message = f"the anchor point {value:g} is outside the table, {node[0]:g} to {node[-1]:g} mm"
             raise ModelError(message, axis=axis, hint="choose an anchor inside the travel")
-
-
-def _anchoring_motion(fields: Callable[[Array], Array], nodes: Nodes, anchor: Anchor) -> Array:
-    """Return the small rigid motions (6, m) that have the same six anchor quantities as m deviation fields. `fields`
-    returns the deviations (n, 3, m) at axis positions (n, 3)."""
-    lines = _anchor_points(nodes, anchor)
-    held = _constraints(fields(lines), lines, anchor)
-    motions = _constraints(rigid_fields(lines, anchor.point_mm, 1.0), lines, anchor)
-    # The six anchor quantities are linear in the motion, and no motion has all of them zero: six equations for six
-    # unknowns.
-    return np.asarray(np.linalg.solve(motions, held))
-
-
-def _anchor_points(nodes: Nodes, anchor: Anchor) -> Array:
-    """Return the points on the two anchor lines as an array (1 + 2 m, 3) in mm: the anchor point, then m points on the
-    line along the primary axis, then m points on the line along the secondary axis."""
-    points = np.tile(anchor.point_mm, (1 + 2 * _LINE_POINTS, 1))
-    for number, letter in enumerate((anchor.primary, anchor.secondary)):
-        axis = AXES.index(letter)
-        rows = slice(1 + number * _LINE_POINTS, 1 + (number + 1) * _LINE_POINTS)
-        points[rows, axis] = np.linspace(nodes[axis][0], nodes[axis][-1], _LINE_POINTS)
-    return points
-
-
-def _constraints(fields: Array, points: Array, anchor: Anchor) -> Array:
-    """Return the six quantities that the anchor constrains as an array (6, m), for m fields (n, 3, m) at the n anchor
-    points."""
-    first, second = AXES.index(anchor.primary), AXES.index(anchor.secondary)
-    # the axis numbers 0, 1 and 2 add up to 3
-    third = 3 - first - second
-    primary, secondary = slice(1, 1 + _LINE_POINTS), slice(1 + _LINE_POINTS, None)
-    slopes_first = _slope(points[primary, first], fields[primary])
-    slopes_second = _slope(points[secondary, second], fields[secondary])
-    return np.concatenate((fields[0], slopes_first[[second, third]], slopes_second[[third]]))
-
-
-def _slope(along: Array, fields: Array) -> Array:
-    """Return the least-squares slopes (3, m) of m fields (n, 3, m) that are given at the positions `along` (n,)."""
-    centred = along - along.mean()
-    return np.asarray(np.tensordot(centred, fields, axes=1) / (centred @ centred))
 
 
 def _rigid(points: Array, anchor: Anchor, motion: Array) -> Array:

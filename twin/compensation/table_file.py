@@ -17,11 +17,12 @@ import numpy as np
 from pydantic import Field
 
 from twin.arrays import Array
-from twin.compensation.table import Anchor, CompensationTable
+from twin.compensation.table import CompensationTable
 from twin.errors import DataError, FormatError, ModelError
 from twin.formats.csv_reading import CsvRow, read_rows
 from twin.formats.json_reading import read_json
 from twin.formats.toml_reading import StrictModel
+from twin.machine.anchor import Anchor
 from twin.machine.kinematic_chain import AXES
 
 COLUMNS = ("x_mm", "y_mm", "z_mm", "dx_um", "dy_um", "dz_um")

@@ -54,12 +54,14 @@ class ErrorBudget:
     The residual field has u parameters: those of the joint model of `field`, which combines the identified model and
     the model of the true machines. `moments` contains, for each influence, the second moments, shape (u, u), that the
     influence causes in these parameters. `bias`, shape (u,), contains the errors that the deflection causes in the
-    parameters. The deflection is the same for all true machines.
+    parameters. The deflection is the same for all true machines. `machines`, shape (u, t), contains the errors that
+    remain in the parameters per standard deviation of each of the t true parameters of a machine.
     """
 
     field: FieldForm
     moments: Mapping[str, Array]
     bias: Array
+    machines: Array
 
     @cached_property
     def contributions(self) -> Mapping[str, VolumetricRms]:
@@ -104,6 +106,22 @@ class ErrorBudget:
         return VolumetricDistribution(
             QuadraticDistribution.of(form.raw, form.raw_linear, form.raw_constant, self.bias, self.total),
             QuadraticDistribution.of(form.aligned, form.aligned_linear, form.aligned_constant, self.bias, self.total),
+        )
+
+    def draw_residuals(self, machines: ArrayLike, rng: np.random.Generator) -> Array:
+        """Return the parameters, shape (m, u), of the residual fields of m machines.
+
+        `machines`, shape (m, t), contains the true parameters of each machine in units of their standard deviations, so
+        that the same machines can be measured by several procedures. Touches, certificate and the other influences are
+        drawn from normal distributions with `rng`.
+        """
+        drawn = np.asarray(machines, dtype=np.float64)
+        # what the machines themselves do not cause, as a factor F with F Fᵀ = M
+        others = np.sum([part for name, part in self.moments.items() if name not in (MISFIT, UNSEEN)], axis=0)
+        sizes, directions = np.linalg.eigh(others)
+        factor = directions * np.sqrt(np.maximum(sizes, 0.0))
+        return np.asarray(
+            self.bias + drawn @ self.machines.T + rng.standard_normal((len(drawn), len(sizes))) @ factor.T
         )
 
     def parameter_uncertainty(self) -> Array:
@@ -182,7 +200,7 @@ def error_budget_of_form(
     }
     bias = np.zeros(field.size)
     bias[field.model_indices] = -answers["deflection"].sum(axis=1)
-    return ErrorBudget(field, {name: moments[name] for name in INFLUENCES}, bias)
+    return ErrorBudget(field, {name: moments[name] for name in INFLUENCES}, bias, machines)
 
 
 def _influences(problem: IdentificationProblem, field: FieldForm, artefact: Artefact) -> dict[str, Array]:

@@ -100,29 +100,30 @@ class FieldForm:
         basis = deviation_basis(form.model, points, form.tool_offset)
         fixed = self._fixed_at(points)
         if aligned:
-            motions = self._motions_at(points)
-            shares = self._rigid_shares
+            motions = self.rigid_motions_at(points)
+            shares = self.rigid_shares
             basis -= motions @ shares[:, :-1]
             fixed = fixed - motions @ shares[:, -1]
         return basis, fixed
 
     @cached_property
-    def _rigid_shares(self) -> Array:
-        """Coefficients (6, u + 1) of the rigid motions contained in each basis column and, in the last column, in the
-        deflection. They are fitted by least squares over the grid."""
+    def rigid_shares(self) -> Array:
+        """Coefficients, shape (6, u + 1), of the rigid motions `rigid_motions_at` contained in each basis column and,
+        in the last column, in the deflection. They are fitted by least squares over the grid."""
         form = self.form
         normal, shared = np.zeros((6, 6)), np.zeros((6, self.size + 1))
         for start in range(0, len(form.axis_positions), _CHUNK):
             points = form.axis_positions[start : start + _CHUNK]
-            motions = self._motions_at(points).reshape(-1, 6)
+            motions = self.rigid_motions_at(points).reshape(-1, 6)
             basis = deviation_basis(form.model, points, form.tool_offset).reshape(-1, self.size)
             normal += motions.T @ motions
             shared += motions.T @ np.column_stack((basis, self._fixed_at(points).reshape(-1)))
         # least squares, because a grid on one line does not determine all six motions
         return np.asarray(np.linalg.lstsq(normal, shared, rcond=1e-12)[0])
 
-    def _motions_at(self, points: Array) -> Array:
-        """Return the fields (n, 3, 6) of the six rigid motions about the middle of the grid, at points (n, 3)."""
+    def rigid_motions_at(self, points: Array) -> Array:
+        """Return the fields, shape (n, 3, 6), of the six rigid motions about the middle of the grid, at axis positions
+        `points`, shape (n, 3), in mm."""
         grid = self.form.axis_positions
         size_mm = max(float(np.ptp(grid, axis=0).max()), 1.0)
         return rigid_fields(points, grid.mean(axis=0), size_mm)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from twin.arrays import Array
 from twin.artefact.artefact import Artefact, ball_bar, bar_balls
 from twin.errors import DataError
 
@@ -22,26 +23,25 @@ class Bar:
     """Ball bar with its properties as described by its calibration certificate.
 
     `certified` is the artefact with the calibrated ball centres. `length_mm` is the distance between the two end balls
-    along the bar. `tilt_deg` is the angle in degrees by which the ball holders are tilted.
+    along the bar. `tilt_deg` is the angle in degrees by which the ball holders are tilted. `turn`, shape (3, 3), is the
+    rotation about the bar axis from holders along -Y, as in `bar_balls`, to those of this bar.
     """
 
     certified: Artefact
     length_mm: float
     tilt_deg: float
+    turn: Array
 
     @classmethod
     def of(cls, artefact: Artefact) -> Bar:
         """Return `artefact` as a ball bar, with the length and the tilt found from its ball centres.
 
-        Raises DataError if the artefact does not consist of equally spaced balls on alternately tilted holders.
+        Raises DataError if the artefact does not consist of equally spaced balls on alternately tilted holders, which
+        point along -Y, +Z, +Y or -Z of the artefact frame.
         """
-        along = artefact.balls[:, 0]
-        length_mm = float(np.ptp(along))
-        holder_mm = artefact.holder_length_mm
-        off_mm = float(np.abs(artefact.balls[0, 2])) if holder_mm > 0.0 else 0.0
-        tilt_deg = math.degrees(math.asin(min(off_mm / holder_mm, 1.0))) if holder_mm > 0.0 else 0.0
-        drawn = bar_balls(artefact.count, length_mm, math.radians(tilt_deg), holder_mm)
-        off_drawing = np.abs(drawn - artefact.balls).max()
+        length_mm = float(np.ptp(artefact.balls[:, 0]))
+        found = min((_drawn(artefact, length_mm, quarter) for quarter in range(4)), key=lambda one: one[0])
+        off_drawing, tilt_deg, turn = found
         if off_drawing > _ALIKE_MM:
             raise DataError(
                 f"'{artefact.name}' is not a bar of equally spaced balls on tilted holders: its balls deviate "
@@ -49,7 +49,7 @@ class Bar:
                 hint="this study changes the bar's balls and their tilt; use a bar such as config/artefacts/"
                 "ball-bar-1500.toml",
             )
-        return cls(artefact, length_mm, tilt_deg)
+        return cls(artefact, length_mm, tilt_deg, turn)
 
     @property
     def standard_uncertainty_mm(self) -> float:
@@ -80,4 +80,22 @@ class Bar:
             cte_standard_uncertainty_per_k=artefact.cte_standard_uncertainty_per_k,
             sag_mm=artefact.sag_mm,
         )
-        return replace(bar, body=artefact.body, sag_standard_uncertainty_mm=artefact.sag_standard_uncertainty_mm)
+        balls_mm = bar.balls @ self.turn.T
+        return replace(
+            bar, balls=balls_mm, body=artefact.body, sag_standard_uncertainty_mm=artefact.sag_standard_uncertainty_mm
+        )
+
+
+def _drawn(artefact: Artefact, length_mm: float, quarter: int) -> tuple[float, float, Array]:
+    """Compare `artefact` with a drawn bar whose holders are turned by `quarter` times -90° about the bar axis.
+
+    Return the largest deviation of a ball coordinate in mm, the tilt of the holders in degrees, and the rotation.
+    """
+    cosine, sine = ((1.0, 0.0), (0.0, -1.0), (-1.0, 0.0), (0.0, 1.0))[quarter]
+    turn = np.array([[1.0, 0.0, 0.0], [0.0, cosine, -sine], [0.0, sine, cosine]])
+    holder_mm = artefact.holder_length_mm
+    # the first ball is displaced along +Z of the drawing by the holder length times the sine of the tilt
+    off_mm = float(np.abs((artefact.balls @ turn)[0, 2])) if holder_mm > 0.0 else 0.0
+    tilt_deg = math.degrees(math.asin(min(off_mm / holder_mm, 1.0))) if holder_mm > 0.0 else 0.0
+    drawn = bar_balls(artefact.count, length_mm, math.radians(tilt_deg), holder_mm) @ turn.T
+    return float(np.abs(drawn - artefact.balls).max()), tilt_deg, turn

@@ -21,6 +21,7 @@ from agent.planning.new_machine.new_setup import ARTEFACT_FILE, MACHINE_FILE, Ne
 from agent.planning.new_machine.spindle import holder_direction, points_up
 from agent.planning.new_machine.station_setup import StationSetup, outer_stations, station_axis
 from agent.planning.new_machine.toml_text import TomlText
+from agent.settings.schema import RELOCATION_BY_CRANE_MINUTES, RELOCATION_BY_HAND_MINUTES
 from agent.settings.simulator_command import SCENARIO_FILE, simulate_command
 
 CONTROLLER_PAGES = {
@@ -262,9 +263,14 @@ def _add_limits(text: TomlText, machine: MachineSetup, controller: ControllerSet
         text.key("command_latency_s", 0.001)
         text.key("touch_latency_s", 0.079)
         text.key("turn_latency_s", 0.505)
+        text.key("relocation_minutes", 0.0, "the simulated operator takes none")
     else:
         text.section("timing", "For predicted minutes. `volcal timing runs/RUN` suggests values after the first run.")
-        text.key("relocation_minutes", 3.0, "a person moves mount and bar to the next station")
+        text.key(
+            "relocation_minutes",
+            RELOCATION_BY_HAND_MINUTES,
+            f"a person moves mount and bar to the next station; {RELOCATION_BY_CRANE_MINUTES:g} with a crane",
+        )
     if machine.kind.tolerance_share > 1.0:
         text.section("gates", "A table that does not pass these limits is never written.")
         text.key("max_correction_um", 1000.0, f"a {machine.kind.name} may have large errors")

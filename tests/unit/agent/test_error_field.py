@@ -10,8 +10,9 @@ from test_report import FAMILY, MODEL, OFFSET, RANGES, estimate_of, report_data
 
 from agent.reports.page.error_field import ErrorField
 from agent.reports.page.workspace_maps import workspace_maps
-from twin.compensation.table import Anchor, build_table, regular_nodes
+from twin.compensation.table import build_table, regular_nodes
 from twin.identification import field_uncertainty
+from twin.machine.anchor import Anchor
 
 
 def test_a_plane_is_that_of_the_report_and_the_table_of_the_estimate_removes_the_field() -> None:

@@ -12,8 +12,9 @@ from agent.results.gates import Gate, require_passed, table_gates
 from agent.results.travel_parts import TravelPart, TravelParts
 from agent.settings.schema import GateSettings
 from drivers.roles import Activation, StoreLimits
-from twin.compensation.table import Anchor, CompensationTable
+from twin.compensation.table import CompensationTable
 from twin.errors import DataError
+from twin.machine.anchor import Anchor
 
 LIMITS = GateSettings()
 ALL_MEASURED = TravelParts(None, None)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,10 +15,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from study_case import shipped_job, study_case
 
+from agent.planning.case_file import load_case, shipped_case
 from agent.planning.cycle_time import machine_minutes
 from agent.planning.design.bar_variants import Bar
+from agent.settings.schema import RELOCATION_BY_HAND_MINUTES
 from agent.studies import ball_count, misalignment, strategy, trajectory, volumetric_error
 from agent.studies.identification_variants import PUBLISHED, UNWEIGHTED, identification_variants
+from agent.studies.measure import ALIGNED, share_of_gain
 from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant, Verdict
 from agent.studies.study import StudyCase
 from agent.studies.study_files import document, format_rows, write_result
@@ -57,25 +61,44 @@ def less_rigid(made: StudyCase, field_at_grid: Array, grid: Array, field: Array,
     return np.asarray(field - motions(points) @ found)
 
 
+def set_up(made: StudyCase, field_at: Callable[[Array], Array], points: Array) -> Array:
+    """Return the field at `points` for a workpiece zeroed in the middle of the travel and aligned to X and Y."""
+    ranges = np.array(made.machine.model.ranges_mm)
+    middle = ranges.mean(axis=1)
+
+    def slope(axis: int) -> Array:
+        line = np.tile(middle, (65, 1))
+        line[:, axis] = np.linspace(*ranges[axis], 65)
+        return np.asarray(np.polyfit(line[:, axis], field_at(line), 1)[0])
+
+    along_x, along_y = slope(0), slope(1)
+    rotation = np.array([along_y[2], -along_x[2], along_x[1]])
+    return np.asarray(field_at(points) - field_at(middle[None, :]) - np.cross(rotation, points - middle))
+
+
 def rms_um(field: Array) -> float:
     return 1e3 * math.sqrt(float(np.mean(np.sum(field**2, axis=1))))
 
 
 def verdict(aligned_um: float | None) -> Verdict:
-    return Verdict(None if aligned_um is None else VolumetricRms(2e-3 * aligned_um, 1e-3 * aligned_um))
+    if aligned_um is None:
+        return Verdict(None)
+    return Verdict(VolumetricRms(2e-3 * aligned_um, 1e-3 * aligned_um), in_work_frame_mm=1.5e-3 * aligned_um)
 
 
 class TestVolumetricError:
     def test_each_machine_has_the_error_of_the_exact_model_on_the_grid(self) -> None:
         made = case()
         grid = evaluation_grid(made.machine.model.ranges_mm)
-        form = FieldForm.build(made.machine.model, made.assumptions, grid, made.tool_offset).form
+        form = ProcedureEvaluator(made).work_frame
         found = volumetric_error.draw_family(made.machine.family, form, 3, generator(made.seed, 0))
         for number, parameters in enumerate(found.parameters):
             field = true_field(made, parameters, grid)
             assert found.raw_um[number] == pytest.approx(rms_um(field), abs=5 * NANOMETRE_UM)
             aligned = rms_um(less_rigid(made, field, grid, field, grid))
             assert found.aligned_um[number] == pytest.approx(aligned, abs=5 * NANOMETRE_UM)
+            in_frame = rms_um(set_up(made, lambda at, machine=parameters: true_field(made, machine, at), grid))
+            assert found.work_frame_um[number] == pytest.approx(in_frame, abs=5 * NANOMETRE_UM)
 
     def test_the_maps_show_the_exact_deviation_at_800_mm(self) -> None:
         made = case()
@@ -110,6 +133,15 @@ class TestBar:
         assert bar.tilt_deg == pytest.approx(15.0, abs=0.1)
         assert np.abs(bar.with_().balls - certified.balls).max() < 0.1
         assert bar.standard_uncertainty_mm == pytest.approx(0.8e-3)
+
+    @pytest.mark.parametrize("case_name", ["bridge", "mill", "router"])
+    def test_holders_may_point_to_a_vertical_spindle(self, case_name: str) -> None:
+        certified = load_case(shipped_case(case_name).settings).artefact
+        bar = Bar.of(certified)
+        assert bar.tilt_deg == pytest.approx(15.0, abs=0.2)
+        assert np.abs(bar.with_().balls - certified.balls).max() < 0.2
+        straight = bar.with_(balls=5, tilt_deg=0.0).balls
+        assert straight[:, 2] == pytest.approx(certified.holder_length_mm)
 
     @pytest.mark.parametrize("balls", [3, 7, 15])
     def test_the_length_does_not_depend_on_the_number_of_balls(self, balls: int) -> None:
@@ -220,7 +252,7 @@ class TestPublishedMethod:
 
     def test_balls_beyond_seven_add_nothing(self) -> None:
         made = self.bent_by(None)
-        bar, before = Bar.of(made.artefact), ProcedureEvaluator(made).before.aligned_um
+        bar, before = Bar.of(made.artefact), ALIGNED.um(ProcedureEvaluator(made).before) or 0.0
         found = {balls: self.vce(made, bar.with_(balls=balls), "S3")[0] for balls in (3, 7, 11, 15)}
         assert before - found[3] < 0.8 * (before - min(found.values()))
         assert before - found[7] > ball_count.SUFFICIENT_SHARE * (before - min(found.values()))
@@ -244,12 +276,12 @@ class TestPublishedMethod:
 
 class TestBallCount:
     def test_the_share_of_the_gain_is_that_of_the_best_count(self) -> None:
-        shares = ball_count.gain_shares([verdict(v) for v in (8.0, None, 5.0, 4.0)], VolumetricRms(0.02, 0.01))
+        shares = share_of_gain((8.0, None, 5.0, 4.0), 10.0)
         assert shares[1] is None
         assert [shares[n] for n in (0, 2, 3)] == pytest.approx([2.0 / 6.0, 5.0 / 6.0, 1.0])
 
     def test_no_gain_has_no_share(self) -> None:
-        assert ball_count.gain_shares([verdict(30.0), verdict(11.0)], VolumetricRms(0.02, 0.01)) == (None, None)
+        assert share_of_gain((30.0, 11.0), 10.0) == (None, None)
 
     def test_seven_balls_are_enough_as_published_and_six_are_at_the_limit(self) -> None:
         made = case(stations=None)
@@ -257,15 +289,16 @@ class TestBallCount:
         trials = [ProcedureVariant.of(made, bar.with_(balls=balls), made.positions()) for balls in ball_count.COUNTS]
         evaluator = ProcedureEvaluator(made)
         verdicts = tuple(row[0] for row in evaluator.evaluate(trials, [variant], []))
-        curve = ball_count.Curve(variant, verdicts, ball_count.gain_shares(verdicts, evaluator.before))
-        shares = dict(zip(ball_count.COUNTS, curve.shares, strict=True))
-        assert curve.fewest in (6, ball_count.PUBLISHED_BALLS)
+        curve = ball_count.Curve(variant, evaluator.before, verdicts)
+        shares = dict(zip(ball_count.COUNTS, curve.shares(ALIGNED), strict=True))
+        assert curve.fewest(ALIGNED) in (6, ball_count.PUBLISHED_BALLS)
         assert shares[6] == pytest.approx(ball_count.SUFFICIENT_SHARE, abs=0.006)
         assert shares[ball_count.PUBLISHED_BALLS] == pytest.approx(0.964, abs=0.006)
 
     def test_the_study_has_a_row_for_each_count_and_way(self, tmp_path: Path) -> None:
         result = ball_count.run(case(position_set="S3"))
         assert len(result.rows) == 4 * len(ball_count.COUNTS)
+        assert set(document(result)["vce_work_frame_um"]) == set(document(result)["vce_raw_um"])  # type: ignore[call-overload]
         assert "share of the largest gain" in write_result(result, tmp_path)["svg"].read_text()
 
 
@@ -298,7 +331,10 @@ class TestMisalignment:
 
 def strategies(points: list[tuple[float, float | None]]) -> list[strategy.Strategy]:
     nothing = ProcedureVariant(shipped_job().artefact, None)
-    return [strategy.Strategy(str(n), nothing, minutes, (verdict(value),)) for n, (minutes, value) in enumerate(points)]
+    return [
+        strategy.Strategy(str(n), nothing, minutes, 0, 3.0, 1, (verdict(value),))
+        for n, (minutes, value) in enumerate(points)
+    ]
 
 
 class TestStrategy:
@@ -319,9 +355,34 @@ class TestStrategy:
     def test_machine_time_is_that_of_the_time_model(self) -> None:
         made = case(stations=1)
         result = strategy.run(made)
-        minutes = {row[0]: row[1] for row in result.rows}
+        minutes = {row[0]: row[3] for row in result.rows}
         assert minutes["S1+S3"] == pytest.approx(machine_minutes(made.job, parse_position_set("S1+S3", 1)).total)
         assert set(minutes) == {"S1", "S2", "S3", "S1+S2", "S1+S3", "S2+S3", "S1+S2+S3"}
+
+    def test_carrying_takes_its_time_at_every_further_station(self) -> None:
+        made = case(stations=3, job=shipped_job(3))
+        timing = made.job.settings.timing.model_copy(update={"relocation_minutes": 7.0})
+        job = replace(made.job, settings=made.job.settings.model_copy(update={"timing": timing}))
+        minutes, carries = strategy.set_time(made.job, parse_position_set("S1", 3))
+        assert carries == 3  # nobody has said that the artefact stands at the first station
+        assert minutes + 3 * 7.0 == pytest.approx(machine_minutes(job, parse_position_set("S1", 3)).total)
+
+    def test_an_operator_without_a_time_is_taken_for_a_person(self) -> None:
+        assert case().job.settings.timing.relocation_minutes == 0.0
+        assert case().relocation_minutes == RELOCATION_BY_HAND_MINUTES
+
+    def test_the_time_of_carrying_decides_between_more_sets_and_more_stations(self) -> None:
+        made = case(stations=3, job=shipped_job(3))
+        result = strategy.run(made)
+        fronts: dict[str, list[str]] = document(result)["pareto_front_over_stations"]  # type: ignore[assignment]
+        assert set(fronts) == set(strategy.CARRYING)
+        assert {row[1] for row in result.rows} == {2, 3}
+        few = {what: sum(name.endswith("at 2") for name in front) for what, front in fronts.items()}
+        assert few["by crane"] >= few["none"]
+
+    @pytest.mark.parametrize(("count", "stations"), [(1, (1,)), (2, (1, 4)), (3, (1, 3, 4)), (4, (1, 2, 3, 4))])
+    def test_fewer_stations_are_spread(self, count: int, stations: tuple[int, ...]) -> None:
+        assert strategy.spread((1, 2, 3, 4), count) == stations
 
     def test_sets_that_identify_nothing_leave_a_gap(self, tmp_path: Path) -> None:
         result = strategy.run(case(stations=1, options=Options(use_prior=False)))

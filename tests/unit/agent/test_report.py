@@ -34,8 +34,9 @@ from twin.artefact.artefact import ball_bar
 from twin.artefact.mount_geometry import MountGeometry
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position, mount_pose, parse_position_set
-from twin.compensation.table import Anchor, build_table, regular_nodes
+from twin.compensation.table import build_table, regular_nodes
 from twin.identification import Estimate, Options, identify, predicted_vce
+from twin.machine.anchor import Anchor
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import exact_deviation
 from twin.machine.kinematic_chain import parse_chain

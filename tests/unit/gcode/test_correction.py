@@ -14,8 +14,9 @@ import pytest
 from gcode.correction import correct_program
 from gcode.correction_summary import CorrectionSummary
 from gcode.setup import CorrectionOptions, PartSetup
-from twin.compensation.table import Anchor, CompensationTable
+from twin.compensation.table import CompensationTable
 from twin.errors import DataError, FormatError
+from twin.machine.anchor import Anchor
 
 SETUP = PartSetup(
     work_offsets={"G54": (100.0, 100.0, 100.0), "G55": (0.0, 0.0, 0.0)},

@@ -14,8 +14,9 @@ from gcode.correction import correct_program
 from gcode.flattening import flattener
 from gcode.setup import CorrectionOptions, PartSetup
 from gcode.setup_file import parse_part_setup
-from twin.compensation.table import Anchor, CompensationTable, regular_nodes
+from twin.compensation.table import CompensationTable, regular_nodes
 from twin.errors import FormatError
+from twin.machine.anchor import Anchor
 
 NODES = regular_nodes(((-1000.0, 1000.0),) * 3, (1000.0,) * 3)
 NOTHING = CompensationTable(

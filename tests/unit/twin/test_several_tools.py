@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from measured_set import RANGES, TOOL, bar, case_study, measured
 
-from twin.compensation.table import Anchor, build_table, regular_nodes
+from twin.compensation.table import build_table, regular_nodes
 from twin.identification import Estimate, Options, identify
 from twin.identification.observability import field_observability
+from twin.machine.anchor import Anchor
 from twin.machine.forward_model import exact_deviation
 from twin.machine.volumetric import evaluation_grid, volumetric_error
 

@@ -9,8 +9,9 @@ import pytest
 from measured_set import RANGES, TOOL, case_study
 from scipy.interpolate import RegularGridInterpolator
 
-from twin.compensation.table import Anchor, CompensationTable, MeasuredRegion, build_table, regular_nodes
+from twin.compensation.table import CompensationTable, MeasuredRegion, build_table, regular_nodes
 from twin.errors import DataError, ModelError
+from twin.machine.anchor import Anchor
 from twin.machine.forward_model import exact_deviation
 from twin.machine.volumetric import align_rigidly, evaluation_grid, rms, volumetric_error
 

@@ -8,9 +8,10 @@ import zlib
 import numpy as np
 import pytest
 
-from twin.compensation.table import Anchor, CompensationTable
+from twin.compensation.table import CompensationTable
 from twin.compensation.table_file import checksum, format_side_file, format_table, parse_table
 from twin.errors import FormatError
+from twin.machine.anchor import Anchor
 
 TWO = np.array([0.0, 100.0])
 

@@ -14,9 +14,10 @@ from scipy.stats import chi, norm
 from campaigns.features.true_features import draw
 from campaigns.features.true_tests import true_figure_mm
 from twin.arrays import Array
-from twin.compensation.table import Anchor, CompensationTable
+from twin.compensation.table import CompensationTable
 from twin.errors import DataError
 from twin.identification import Misfit
+from twin.machine.anchor import Anchor
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import exact_deviation
 from twin.machine.kinematic_chain import parse_chain

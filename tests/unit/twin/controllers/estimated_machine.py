@@ -9,7 +9,8 @@ import numpy as np
 
 from agent.model_files import load_machine
 from twin.compensation.controllers.export_format import ExportSource, TableEstimate
-from twin.compensation.table import Anchor, build_table, regular_nodes
+from twin.compensation.table import build_table, regular_nodes
+from twin.machine.anchor import Anchor
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import deviation_basis, exact_deviation
 from twin.machine.kinematic_chain import parse_chain

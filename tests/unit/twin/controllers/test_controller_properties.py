@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from twin.compensation.controllers.export_format import ControllerExport, ExportSource
 from twin.compensation.controllers.format_options import ExportOptions
 from twin.compensation.controllers.registry import FORMATS
-from twin.compensation.table import Anchor, CompensationTable
+from twin.compensation.table import CompensationTable
+from twin.machine.anchor import Anchor
 from twin.machine.error_model import ErrorModel
 from twin.machine.kinematic_chain import parse_chain
 

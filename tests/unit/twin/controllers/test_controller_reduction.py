@@ -22,7 +22,8 @@ from twin.compensation.controllers.reduction import (
     sum_of_terms,
 )
 from twin.compensation.controllers.registry import FORMATS
-from twin.compensation.table import Anchor, CompensationTable
+from twin.compensation.table import CompensationTable
+from twin.machine.anchor import Anchor
 from twin.machine.volumetric import evaluation_grid, volumetric_error
 
 ORIGIN = np.zeros(3)

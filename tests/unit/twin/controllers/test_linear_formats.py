@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from twin.compensation.controllers.export_format import ExportSource
 from twin.compensation.controllers.format_options import ExportOptions
 from twin.compensation.controllers.registry import FORMATS
-from twin.compensation.table import Anchor, CompensationTable
+from twin.compensation.table import CompensationTable
 from twin.errors import DataError
+from twin.machine.anchor import Anchor
 
 LINEAR = ("linuxcnc-matrixkins", "klipper-skew")
 ENTRY = st.floats(-2e-4, 2e-4)
