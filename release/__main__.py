@@ -4,8 +4,8 @@ sums and a signature.
     python -m release --key PATH [--out dist/release]
 
 The key is a private SSH key outside the checkout; `ssh-keygen -t ed25519 -f PATH` makes one. The checkout must be that
-of a commit, and the audit of pins and licences must find nothing. The last line of the output is to be published for the
-receivers, by another way than the files: the public part of the key.
+of a commit, and the audit of pins and licences must find nothing. The last line of the output is the public part of the
+key, to be published for the receivers by another way than the files.
 """
 
 from __future__ import annotations

@@ -70,7 +70,8 @@ def allowed_signer(key: Path) -> str:
 
 
 def require_key_outside(key: Path, root: Path) -> None:
-    """Raise ReleaseRefused if there is no key at this path, or if it lies in the checkout, where it could be committed."""
+    """Raise ReleaseRefused if there is no key at this path, or if it lies in the checkout, where it could be
+    committed."""
     if not key.is_file():
         raise ReleaseRefused(f"there is no key {key}; make one with `ssh-keygen -t ed25519 -f PATH`")
     if key.resolve().is_relative_to(root.resolve()):

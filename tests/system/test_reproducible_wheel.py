@@ -1,5 +1,5 @@
-"""The wheel, built twice by the real command in two clones with other paths, umasks, time zones and hash seeds: the same
-bytes."""
+"""The wheel, built twice by the real command in two clones, has the same bytes: paths, umasks, time zones and hash seeds
+differ."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""What is packed depends on the commit alone: not on other files in the checkout, the umask, times or the order of files
-on the disk."""
+"""What is packed depends on the commit alone: not on other files in the checkout, the umask, times or the order on the
+disk."""
 
 from __future__ import annotations
 
