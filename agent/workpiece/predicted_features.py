@@ -118,14 +118,14 @@ def csv_lines(predictions: tuple[FeaturePrediction, ...]) -> Iterator[list[str]]
     columns = ("expected_um", "expanded_um", "low_um", "high_um", "conformity")
     yield ["name", "kind", *(f"{column}_{state}" for state in ("without_table", "with_table") for column in columns)]
     for one in predictions:
-        cells = [_no_formula(one.feature.name), one.feature.kind.value]
+        cells = [no_formula(one.feature.name), one.feature.kind.value]
         for error in (one.without_table, one.with_table):
             document = {} if error is None else error_document(error)
             cells += [str(document.get(column, "")) for column in columns]
         yield cells
 
 
-def _no_formula(text: str) -> str:
+def no_formula(text: str) -> str:
     """Return a text that no spreadsheet evaluates when it opens the file (OWASP, CSV injection)."""
     return f"'{text}" if text.startswith(FORMULA_STARTS) else text
 

@@ -1,5 +1,4 @@
-"""The wheel, built twice by the real command in two clones, has the same bytes: paths, umasks, time zones and hash seeds
-differ."""
+"""The wheel, built twice by the real command in two clones, has the same bytes."""
 
 from __future__ import annotations
 
