@@ -46,7 +46,7 @@ def install(root: Path, work: Path, site: Path, time: int) -> None:
 def licences(site: Path) -> str:
     """Return one paragraph for each bundled package, in the form of Debian's copyright pages."""
     stated = read_licence_list().stated
-    folders = {canonicalize_name(path.name.partition("-")[0]): path.name for path in site.glob("*.dist-info")}
+    folders = {str(canonicalize_name(path.name.partition("-")[0])): path.name for path in site.glob("*.dist-info")}
     return "".join(
         f"\nBundled: {name} {package.version}\nLicence: {licence_of(package, stated) or 'see its metadata'}\n"
         f"Text: {SITE / folders[name]}\n"
