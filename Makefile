@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup run test quick long-forms check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming foreign linuxcnc grbl faults endurance crash-points power-cuts requests fuzz fuzz-guided http-interface gcode part-programs schema reference figures deb deb-test clean
+.PHONY: setup run test quick long-forms check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming foreign linuxcnc grbl faults endurance crash-points power-cuts requests fuzz fuzz-guided http-interface gcode part-programs schema reference figures audit wheel deb deb-test sbom reproducible release clean
 
 setup: $(STAMP)
 
@@ -49,7 +49,11 @@ contracts: setup
 dead-code: setup
 	$(BIN)/vulture
 
-# The first four beside the tests; fails if any of them fails.
+# Each installed package is pinned, each pin is needed, each licence is allowed (release/licences.toml).
+audit: setup
+	$(BIN)/python -m release.audit
+
+# The first five beside the tests; fails if any of them fails.
 check: setup
 	MAKE="$(MAKE)" .ci/check
 
@@ -177,12 +181,29 @@ figures: setup
 
 # The Debian package, for the Debian and the Python that this computer has: dist/volcal_*.deb
 deb: setup
-	$(BIN)/python systemd/deb/build.py
+	$(BIN)/python -m release.deb
 
 # Installs, starts, hangs, upgrades, removes it in a container that boots systemd. Needs root, debootstrap,
 # systemd-container, and some minutes; ends with one line of JSON.
 deb-test: deb
 	$(BIN)/python systemd/deb/check.py $$(ls -t dist/volcal_*.deb | head -1)
+
+# The wheel: dist/volcal-*.whl
+wheel: setup
+	$(BIN)/python -m release.wheel
+
+# What the package is made of, with versions and licences, in CycloneDX: dist/volcal-*.cdx.json
+sbom: setup
+	$(BIN)/python -m release.sbom
+
+# Wheel and Debian package of the last commit, built twice in different places, have the same bytes. Some minutes.
+reproducible: setup
+	$(BIN)/python -m release.reproduce
+
+# All release files with their sums, signed with a private SSH key outside the checkout: make release KEY=PATH
+KEY ?=
+release: setup
+	$(BIN)/python -m release --key "$(KEY)"
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from typing import Literal
 
 import structlog
 
@@ -21,14 +22,19 @@ LONGEST_PAUSE_S = 900.0
 _GROWTH = 2.0
 
 
+Delivery = Literal["delivers", "partial", "fails"]
+"""How a channel delivers: everything, only in part (a receiver took a notice for some addressees), or nothing."""
+
+
 @dataclass(frozen=True)
 class ReceiverState:
-    """State of a channel. `waiting` is the number of notices that it has not delivered yet. `problem` is the reason why
-    the last attempt failed, and `since` the UTC time of the first of the failures in a row; both are empty if it did
-    not."""
+    """State of a channel. `waiting` is the number of notices that it has not delivered yet. `delivery` is the result of
+    the last attempt; if it did not deliver everything, `problem` is the reason, and `since` the UTC time of the first
+    of the attempts in a row with this result. Both are empty otherwise."""
 
     channel: str
     waiting: int = 0
+    delivery: Delivery = "delivers"
     problem: str = ""
     since: str = ""
 
@@ -41,7 +47,8 @@ class Courier:
     """Delivery by one channel, without a thread: each call of `attempt` delivers at most one notice.
 
     `now` returns a monotonic time in s and `utc_now` the UTC time. `changed` is called when the state of the channel
-    has changed, and `note` with a text when it begins to fail, works again or drops a notice.
+    has changed, and `note` with a text when it begins to fail or to deliver only in part,
+    delivers again or drops a notice.
     """
 
     def __init__(
@@ -65,6 +72,7 @@ class Courier:
         self._utc_now = utc_now
         self._not_before_s = float("-inf")
         self._pause_s = FIRST_PAUSE_S
+        self._delivery: Delivery = "delivers"
         self._problem = self._since = ""
         self._shown = ReceiverState(name)
 
@@ -97,7 +105,7 @@ class Courier:
         return self._pause_s
 
     def state(self) -> ReceiverState:
-        return ReceiverState(self.name, self._outbox.count(self.name), self._problem, self._since)
+        return ReceiverState(self.name, self._outbox.count(self.name), self._delivery, self._problem, self._since)
 
     def _drop_old(self) -> None:
         while (notice := self._outbox.next_for(self.name)) is not None and is_older(
@@ -107,32 +115,30 @@ class Courier:
             self._tell(f"dropped by {self.name} after {self._max_age_hours:g} h: {notice.subject} ({notice.at})")
 
     def _failed(self, problem: str) -> None:
-        self._pause_s = FIRST_PAUSE_S if not self._problem else min(self._pause_s * _GROWTH, LONGEST_PAUSE_S)
+        failed_before = self._delivery == "fails"
+        self._pause_s = min(self._pause_s * _GROWTH, LONGEST_PAUSE_S) if failed_before else FIRST_PAUSE_S
         self._not_before_s = self._now() + self._pause_s
-        former = self._set_problem(problem)
+        self._set_delivery("fails", problem)
         self._show()
-        if not former:  # once for each disturbance, however many attempts it takes
+        if not failed_before:  # once for each disturbance, however many attempts it takes
             self._tell(f"{self.name} does not deliver; it is tried again: {problem}")
 
     def _delivered(self, notice: Notice, complaint: str) -> None:
         self._outbox.remove(notice, self.name)
         self._not_before_s = float("-inf")
-        former = self._set_problem(complaint)
+        former = self._delivery, self._problem
+        self._set_delivery("partial" if complaint else "delivers", complaint)
         self._show()
-        if complaint and complaint != former:
+        if complaint and (self._delivery, self._problem) != former:
             self._tell(f"{self.name} delivers only in part: {complaint}")
-        elif former and not complaint:
+        elif not complaint and former[0] != "delivers":
             self._note(f"notifications: {self.name} delivers again")
             log.info("a channel delivers again", channel=self.name)
 
-    def _set_problem(self, problem: str) -> str:
-        """Keep a problem, or that there is none, and return the former one."""
-        former, self._problem = self._problem, problem
-        if not problem:
-            self._since = ""
-        elif not former:
-            self._since = f"{self._utc_now():%Y-%m-%dT%H:%M:%SZ}"
-        return former
+    def _set_delivery(self, delivery: Delivery, problem: str) -> None:
+        if delivery != self._delivery:
+            self._since = "" if delivery == "delivers" else f"{self._utc_now():%Y-%m-%dT%H:%M:%SZ}"
+        self._delivery, self._problem = delivery, problem
 
     def _show_if_changed(self) -> None:
         """Show that notices were dropped, or that more have come during a pause."""

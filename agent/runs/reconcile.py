@@ -219,7 +219,9 @@ def _restored(
         aside.table("restored", former.number, image)
     finally:
         journal.close()
-    return Reconciliation(CompensationState.UNPROVED, ReconcileAction.RESTORED, former.number, None, unfinished)
+    # A run that was stopped is unfinished only as long as its table is active without a proof.
+    left = None if unfinished is None else unfinished_run(state_directory)
+    return Reconciliation(CompensationState.UNPROVED, ReconcileAction.RESTORED, former.number, None, left)
 
 
 def _await_rest(rig: Rig) -> None:

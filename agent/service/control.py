@@ -90,8 +90,8 @@ class Status:
       `read_problem` then says why the controller could not be read.
     - `read_age_s` is the time in s since it was read between runs; None if it never was, or while a run is in progress.
     - `links` says of each device whether it answered when it was last asked, or why it is not read between runs.
-    - `receivers` says of each channel of the notifications how many notices wait, and since when and why it does not
-      deliver.
+    - `receivers` says of each channel of the notifications how many notices wait, whether it delivers everything, only
+      in part or nothing, and since when and why not everything.
     - `written_not_active` is the bank whose table has been written but becomes active only when the controller is
       restarted.
     """

@@ -19,6 +19,7 @@ from twin.workpiece.feature_file import parse_features
 from twin.workpiece.placement import Placement
 from twin.workpiece.prediction import FeatureError, FeaturePrediction, predict_features
 
+FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n")
 RULE = "ISO 14253-1:2017, conformance probability limit 97.5 %"
 
 
@@ -123,15 +124,23 @@ def error_document(error: FeatureError) -> dict[str, Any]:
 
 
 def csv_lines(predictions: tuple[FeaturePrediction, ...]) -> Iterator[list[str]]:
-    """Yield the header and the rows of a CSV file with the predictions, in µm."""
+    """Yield the header and the rows of a CSV file with the predictions, in µm.
+
+    A name that a spreadsheet would take for a formula has an apostrophe in front.
+    """
     columns = ("expected_um", "expanded_um", "low_um", "high_um", "conformity")
     yield ["name", "kind", *(f"{column}_{state}" for state in ("without_table", "with_table") for column in columns)]
     for one in predictions:
-        cells = [one.feature.name, one.feature.kind.value]
+        cells = [no_formula(one.feature.name), one.feature.kind.value]
         for error in (one.without_table, one.with_table):
             document = {} if error is None else error_document(error)
             cells += [str(document.get(column, "")) for column in columns]
         yield cells
+
+
+def no_formula(text: str) -> str:
+    """Return a text that no spreadsheet evaluates when it opens the file (OWASP, CSV injection)."""
+    return f"'{text}" if text.startswith(FORMULA_STARTS) else text
 
 
 def _um(value_mm: float | None) -> float | None:

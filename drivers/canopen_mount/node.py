@@ -185,15 +185,19 @@ class DriveNode:
             self._emergencies.append(int(emergency.code))
 
     def _upload(self, index: int, subindex: int) -> bytes:
-        """Read an object, which may come in segments. Raises ProtocolError if it has more than MAX_UPLOAD_BYTES bytes.
+        """Read an object, which may come in segments. Raises ProtocolError if it has more than MAX_UPLOAD_BYTES bytes,
+        where an empty segment counts as one.
 
         A drive may send four bytes for an object that is shorter by its description; the further ones are cut off.
         """
-        content = b""
+        content, received = b"", 0
         with self._node.sdo.open(index, subindex, buffering=0) as segments:
-            while segment := bytes(segments.read(1)):
+            # An empty segment need not be the last one (CiA 301 allows n = 7), which only the stream itself knows.
+            while not segments._done:
+                segment = bytes(segments.read(1))
                 content += segment
-                if len(content) > MAX_UPLOAD_BYTES:
+                received += max(len(segment), 1)  # empty segments without an end are endless, too
+                if received > MAX_UPLOAD_BYTES:
                     self._node.sdo.abort(OUT_OF_MEMORY)
                     raise ProtocolError(
                         f"the drive sends more than {MAX_UPLOAD_BYTES} bytes for 0x{index:04X}",

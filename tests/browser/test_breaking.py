@@ -17,6 +17,12 @@ def test_a_lost_link_is_an_alarm_with_what_to_do_and_a_dead_service_is_unmistaka
     with simulator(tmp_path) as (machine, ready), service(settings(ready, tmp_path)) as running:
         for page in opened(chromium, running, locale="de"):
             with_token(page, running)
+            # Before the first run, the settings are beside those of no run.
+            page.click("#tab-engineer")
+            page.click("#section-settings")
+            expect(page.locator("#content")).to_contain_text("Was der Dienst aus")
+            expect(page.locator("#content")).not_to_contain_text("gewählte Lauf")
+            page.click("#tab-operator")
             running.start()
             running.until(lambda now: now["balls"] > 2, "balls")
             machine.kill()

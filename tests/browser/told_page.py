@@ -32,10 +32,11 @@ RUN_SUMMARY = {
 }  # fmt: skip
 QUESTION = {"number": 3, "text": "carry the artefact", "station": 2, "placement": None}
 RECEIVERS = [
-    {"channel": "mqtt", "waiting": 0, "problem": "", "since": ""},
+    {"channel": "mqtt", "waiting": 0, "delivery": "delivers", "problem": "", "since": ""},
     {
         "channel": "mail",
         "waiting": 2,
+        "delivery": "fails",
         "problem": "the receiver cannot be reached: no answer (receiver mail server mail.plant.example)",
         "since": "2026-11-28T03:15:00Z",
     },

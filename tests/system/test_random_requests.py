@@ -108,6 +108,22 @@ def test_a_run_that_is_resumed_after_a_later_one_ended_in_its_preflight_proves_i
     assert last.run_id != run_id
 
 
+def test_a_stopped_run_whose_table_is_taken_back_by_a_reset_is_not_offered_again(trial: RequestTrial) -> None:
+    perform(trial, "start", *CALIBRATE)
+    go_to(trial, S.VERIFYING)
+    perform(trial, "abort")
+    go_to(trial, S.ABORTING)
+    cut(trial)
+    go_to(trial, S.FAULTED)
+    connect(trial)
+    assert trial.scene.table[0] != FORMER_BANK
+    perform(trial, "reset")
+    assert trial.scene.table[0] == FORMER_BANK
+    assert (trial.scene.owner.status().unfinished, "resume_run" in trial.may) == (None, False)
+    perform(trial, "resume_run", 0)
+    assert trial.at_rest
+
+
 def test_a_restoration_first_takes_back_a_table_that_was_never_proved(trial: RequestTrial) -> None:
     perform(trial, "start", *CALIBRATE)
     go_to(trial, S.VERIFYING)

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-ROOMS = ("agent", "benchmarks", "campaigns", "drivers", "gcode", "simulators", "twin", "volcal")
+ROOMS = ("agent", "benchmarks", "campaigns", "drivers", "gcode", "release", "simulators", "twin", "volcal")
 MOST_MODULES = 25
 SMALL_LINES = 40
 

@@ -100,6 +100,29 @@ def test_a_text_in_segments_is_read() -> None:
         assert node.read_text(0x1008) == "a long name"
 
 
+def test_an_empty_segment_that_is_not_the_last_does_not_end_the_text() -> None:
+    with connected() as (node, peer):
+        peer.answers = [
+            SEGMENTED,
+            segment(0, b"a long ", last=False),
+            segment(1, b"", last=False),
+            segment(2, b"name", last=False),
+            segment(3, b"", last=True),
+        ]
+        assert node.read_text(0x1008) == "a long name"
+        assert peer.answers == []
+
+
+def test_empty_segments_without_an_end_are_an_error_of_the_protocol() -> None:
+    with connected() as (node, peer):
+        peer.answers = [SEGMENTED, *(segment(number, b"", last=False) for number in range(1000))]
+        with pytest.raises(ProtocolError, match="more than 512 bytes"):
+            node.read_text(0x1008)
+        assert len(peer.answers) > 400
+        peer.answers = [STATUS_ANSWER]
+        assert node.read(STATUSWORD) == 0x0637
+
+
 def test_a_text_without_an_end_is_an_error_of_the_protocol_after_few_segments() -> None:
     with connected() as (node, peer):
         endless = [segment(number, b"endless", last=False) for number in range(1000)]

@@ -185,6 +185,53 @@ def test_state_result_and_alerts_follow_the_run(world):
     asyncio.run(scene())
 
 
+@pytest.mark.parametrize(
+    "method", [ua.ObjectIds.ConditionType_ConditionRefresh, ua.ObjectIds.ConditionType_ConditionRefresh2]
+)
+def test_open_alarms_are_sent_only_to_a_subscription_of_the_session_that_asks(world, method):
+    async def scene() -> None:
+        world.control.fault()
+        async with world.connected() as client, world.connected() as other:
+            uris = await client.get_namespace_array()
+            await client.load_data_type_definitions()
+            alert = ua.NodeId(ua.Int32(ALERT.number), ua.Int16(uris.index(ALERT.namespace)))
+            heard: asyncio.Queue = asyncio.Queue()
+
+            class Handler:
+                def event_notification(self, event) -> None:
+                    heard.put_nowait(event)
+
+            subscription = await client.create_subscription(50, Handler())
+            item = await subscription.subscribe_events(
+                machine_node(client, "Notification.Messages"), client.get_node(alert)
+            )
+
+            async def refresh(asking, number: int) -> None:
+                node = asking.get_node(ua.NodeId(ua.Int32(method)))
+                numbers = [number] if method == ua.ObjectIds.ConditionType_ConditionRefresh else [number, item]
+                arguments = [ua.Variant(one, ua.VariantType.UInt32) for one in numbers]
+                await asking.get_node(ua.ObjectIds.ConditionType).call_method(node, *arguments)
+
+            with pytest.raises(ua.UaStatusCodeError) as caught:
+                await refresh(other, subscription.subscription_id)
+            assert caught.value.code == ua.StatusCodes.BadUserAccessDenied
+            with pytest.raises(ua.UaStatusCodeError) as caught:
+                await refresh(client, subscription.subscription_id + 1000)
+            assert caught.value.code == ua.StatusCodes.BadSubscriptionIdInvalid
+            with pytest.raises(ua.UaStatusCodeError) as caught:
+                await client.get_node(ua.ObjectIds.ConditionType).call_method(
+                    client.get_node(ua.NodeId(ua.Int32(method)))
+                )
+            assert caught.value.code == ua.StatusCodes.BadArgumentsMissing
+            assert heard.empty()
+            await refresh(client, subscription.subscription_id)
+            event = await asyncio.wait_for(heard.get(), WITHIN_S)
+            assert (event.ErrorCode, event.Retain) == ("311", True)
+            await subscription.delete()
+
+    asyncio.run(scene())
+
+
 def pem_of(der: Path) -> Path:
     pem = der.with_suffix(".crt.pem")
     pem.write_bytes(x509.load_der_x509_certificate(der.read_bytes()).public_bytes(serialization.Encoding.PEM))

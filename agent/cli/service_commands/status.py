@@ -74,7 +74,9 @@ def _rows(status: Mapping[str, Any]) -> list[tuple[str, str]]:
     for one in status.get("receivers", ()):
         if one["problem"]:
             since = _since(one.get("since", ""))
-            rows.append((f"{one['channel']} fails", f"{one['waiting']} waiting{since}: {one['problem']}"))
+            # a service of an earlier version does not tell the two apart
+            how = "delivers in part" if one.get("delivery") == "partial" else "fails"
+            rows.append((f"{one['channel']} {how}", f"{one['waiting']} waiting{since}: {one['problem']}"))
     rows += [(f"alarm {a['code']}", f"{a['text']}. {a['hint']}") for a in status["alarms"]]
     return [*rows, ("accepted requests", ", ".join(status["may"]) or "none")]
 

@@ -49,5 +49,6 @@ def live_gauges(status: Status) -> dict[str, float]:
         "run_unfinished": float(status.unfinished is not None),
         "alarms_open": float(len(status.alarms)),
         "notices_waiting": float(sum(one.waiting for one in status.receivers)),
-        "receivers_failing": float(sum(bool(one.problem) for one in status.receivers)),
+        "receivers_failing": float(sum(one.delivery == "fails" for one in status.receivers)),
+        "receivers_partial": float(sum(one.delivery == "partial" for one in status.receivers)),
     }

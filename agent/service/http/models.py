@@ -181,11 +181,13 @@ class LinkView(BaseModel):
 
 
 class ReceiverView(BaseModel):
-    """Channel of the notifications. `waiting` is the number of notices that it has not delivered yet; `problem` says
-    why it does not deliver, and `since` since when in UTC; both are empty if it does."""
+    """Channel of the notifications. `waiting` is the number of notices that it has not delivered yet; `delivery` says
+    whether it delivers everything, only in part or nothing; `problem` says why it does not deliver everything, and
+    `since` since when in UTC; both are empty if it does."""
 
     channel: Literal["mqtt", "webhook", "mail"]
     waiting: int
+    delivery: Literal["delivers", "partial", "fails"]
     problem: str
     since: str
 

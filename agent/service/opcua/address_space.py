@@ -22,7 +22,7 @@ from agent.errors import Busy, NotAllowedInState
 from agent.runs.run_request import run_request
 from agent.service.alarms import alarm_of
 from agent.service.control import Alarm, Control, Event, Status
-from agent.service.opcua.guard import GuardedServer, refusal_result
+from agent.service.opcua.guard import REFRESHES, GuardedServer, refusal_result
 from agent.service.opcua.machine_space import MachineSpace
 from agent.service.opcua.model import (
     ALARM_EVENT,
@@ -41,8 +41,6 @@ from agent.service.opcua.model import (
 from drivers.errors import InputError, PermissionMissing, UserError, VolcalError
 
 log = structlog.get_logger()
-REFRESHES = (ObjectIds.ConditionType_ConditionRefresh, ObjectIds.ConditionType_ConditionRefresh2)
-"""Methods with which a client asks for the alarms that are open; asyncua carries them out."""
 _INPUTS = {method.name: method.inputs for method in METHODS}
 _KINDS: dict[str, type] = {"String": str, "Double": float, "Int32": int, "Boolean": bool}
 
@@ -132,7 +130,7 @@ class AddressSpace:
         return self._nodes[path]
 
     async def _add_methods(self, root: Node) -> None:
-        free = {ua.NodeId(ua.Int32(method)): True for method in REFRESHES}
+        free = dict.fromkeys(REFRESHES, True)
         for method in METHODS:
             node = await root.add_method(
                 self._id(method.name),

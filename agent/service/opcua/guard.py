@@ -32,6 +32,11 @@ between two calls of `make_room`."""
 ACTIVATE_WITHIN_S: Final = 10.0
 OPERATOR: Final = "operator"
 ANONYMOUS: Final = "anonymous"
+REFRESHES: Final = frozenset(
+    ua.NodeId(ua.Int32(method))
+    for method in (ua.ObjectIds.ConditionType_ConditionRefresh, ua.ObjectIds.ConditionType_ConditionRefresh2)
+)
+"""Methods with which a client asks for the alarms that are open; asyncua carries them out."""
 log = structlog.get_logger()
 
 
@@ -113,8 +118,25 @@ class GuardedSession(InternalSession):
         if not free and self.user.name != OPERATOR:
             log.warning("OPC UA method refused", user=self.user.name, method=str(request.MethodId))
             return refusal_result(StatusCodes.BadUserAccessDenied)
+        if request.MethodId in REFRESHES and (code := self._refresh_refusal(request)) is not None:
+            log.warning("OPC UA condition refresh refused", user=self.user.name)
+            return refusal_result(code)
         (result,) = await super().call([request])
         return result
+
+    def _refresh_refusal(self, request: ua.CallMethodRequest) -> int | None:
+        """Return the status code with which a ConditionRefresh is refused, or None if it may be carried out.
+
+        A session may refresh only its own subscriptions (OPC 10000-9:2025, 5.5.7). asyncua knows each subscription by a
+        small number and refreshes it for anybody, so one client could send events to another.
+        """
+        arguments = request.InputArguments or []
+        if not arguments:
+            return int(StatusCodes.BadArgumentsMissing)
+        subscription = self.subscription_service.subscriptions.get(arguments[0].Value)
+        if subscription is None:
+            return int(StatusCodes.BadSubscriptionIdInvalid)
+        return None if subscription.session_id == self.session_id else int(StatusCodes.BadUserAccessDenied)
 
 
 REFRESH_SEVERITY = 1

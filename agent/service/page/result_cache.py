@@ -3,10 +3,12 @@ the deviation in the workspace."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from threading import Lock
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -24,14 +26,51 @@ from twin.arrays import Array
 from twin.machine.kinematic_chain import AXES
 
 Document = dict[str, Any]
+K = TypeVar("K")
+V = TypeVar("V")
 MAX_CACHED = 16
 MAX_FIELDS = 4
 
 
-class ResultCache:
-    """Cache of the results of the runs that were requested last. It is safe to use from any thread."""
+class RunLocks:
+    """One lock for each run that is in use, so that a slow result of one run delays only those who ask for this run.
+
+    A lock is kept no longer than somebody holds it or waits for it.
+    """
 
     def __init__(self) -> None:
+        self._guard = Lock()
+        self._locks: dict[tuple[str, str], Lock] = {}
+        self._users: Counter[tuple[str, str]] = Counter()
+
+    @contextmanager
+    def locked(self, directory: Path, run_id: str) -> Iterator[None]:
+        """Hold the lock of a run during the `with` block."""
+        key = (str(directory), run_id)
+        with self._guard:
+            self._users[key] += 1
+            lock = self._locks.setdefault(key, Lock())
+        try:
+            with lock:
+                yield
+        finally:
+            with self._guard:
+                self._users[key] -= 1
+                if not self._users[key]:
+                    del self._users[key], self._locks[key]
+
+    def __len__(self) -> int:
+        return len(self._locks)
+
+
+class ResultCache:
+    """Cache of the results of the runs that were requested last. It is safe to use from any thread.
+
+    Each result is computed under the lock of its run, and the lock of the cache is held only to look up and to store.
+    """
+
+    def __init__(self) -> None:
+        self.run_locks = RunLocks()
         self._lock = Lock()
         self._cached: dict[tuple[str, str, str], Document] = {}
         self._fields: dict[tuple[str, str], tuple[IdentificationData, ErrorField]] = {}
@@ -44,10 +83,10 @@ class ResultCache:
         """Return the error field on a plane, without and with the table of the run. `normal` is the axis X, Y or Z, and
         `at_mm` the position on it, by default the middle of the travel. Raise InputError if the run has no estimate.
         """
-        identification, field = self._field_of(directory, run_id)
         axis = AXES.index(normal.upper())
-        low, high = field.ranges_mm[axis]
-        with self._lock:  # a field computes its parts when they are first asked for
+        with self.run_locks.locked(directory, run_id):  # a field computes its parts when they are first asked for
+            identification, field = self._field_of(directory, run_id)
+            low, high = field.ranges_mm[axis]
             plane = field.plane(axis, (low + high) / 2 if at_mm is None else at_mm)
             largest_um = field.largest_um
         summary = identification.volumetric
@@ -59,22 +98,21 @@ class ResultCache:
         }
 
     def _field_of(self, directory: Path, run_id: str) -> tuple[IdentificationData, ErrorField]:
+        """Return the error field of a run, whose lock is held, from the cache or anew."""
         key = (str(directory), run_id)
         with self._lock:
-            if key not in self._fields:
-                record = read_record(directory, run_id)
-                data = report_of(record)
-                identified = _identified(data, run_id)
-                offset = np.asarray(data.tool_offset)
-                image = None if record.table("staged") is None else stored_table(directory, run_id, "staged")
-                table = None if image is None else table_of(image, offset)
-                field = ErrorField(identified.estimate, offset, identified.observations.axis_positions, table)
-                if record.ended is None:
-                    return identified, field
-                self._fields[key] = (identified, field)
-                while len(self._fields) > MAX_FIELDS:
-                    self._fields.pop(next(iter(self._fields)))
-            return self._fields[key]
+            if key in self._fields:
+                return self._fields[key]
+        record = read_record(directory, run_id)
+        data = report_of(record)
+        identified = _identified(data, run_id)
+        offset = np.asarray(data.tool_offset)
+        image = None if record.table("staged") is None else stored_table(directory, run_id, "staged")
+        table = None if image is None else table_of(image, offset)
+        made = identified, ErrorField(identified.estimate, offset, identified.observations.axis_positions, table)
+        if record.ended is not None:
+            self._keep(self._fields, key, made, MAX_FIELDS)
+        return made
 
     def _of(
         self, what: str, directory: Path, run_id: str, make: Callable[[ReportData, IdentificationData], Document]
@@ -84,17 +122,23 @@ class ResultCache:
         The document of a run in progress is not cached, since the estimate of that run may still change.
         """
         key = (what, str(directory), run_id)
+        with self.run_locks.locked(directory, run_id):
+            with self._lock:
+                if key in self._cached:
+                    return self._cached[key]
+            record = read_record(directory, run_id)
+            data = report_of(record)
+            document = make(data, _identified(data, run_id))
+            if record.ended is not None:
+                self._keep(self._cached, key, document, MAX_CACHED)
+            return document
+
+    def _keep(self, kept: dict[K, V], key: K, value: V, most: int) -> None:
+        """Store a result, and drop the oldest ones above `most`."""
         with self._lock:
-            if key not in self._cached:
-                record = read_record(directory, run_id)
-                data = report_of(record)
-                document = make(data, _identified(data, run_id))
-                if record.ended is None:
-                    return document
-                self._cached[key] = document
-                while len(self._cached) > MAX_CACHED:
-                    self._cached.pop(next(iter(self._cached)))
-            return self._cached[key]
+            kept[key] = value
+            while len(kept) > most:
+                kept.pop(next(iter(kept)))
 
 
 def comparison_document(compared: RunComparison) -> Document:

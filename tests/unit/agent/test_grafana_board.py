@@ -39,9 +39,14 @@ def labels(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[str]]:
         sync(state, store)
         runs = store.runs()
     trends = trends_of(runs, HistorySettings(parameter_tolerances={"EXX[1]": 12.0}))
-    status = Status("mill", RunState.IDLE, PACKML[RunState.IDLE], receivers=(ReceiverState("mail", 2, "away"),))
+    status = Status(
+        "mill",
+        RunState.IDLE,
+        PACKML[RunState.IDLE],
+        receivers=(ReceiverState("mail", 2, "fails", "away"), ReceiverState("mqtt", 0, "partial", "one")),
+    )
     gauges = live_gauges(status)
-    assert (gauges["notices_waiting"], gauges["receivers_failing"]) == (2.0, 1.0)
+    assert (gauges["notices_waiting"], gauges["receivers_failing"], gauges["receivers_partial"]) == (2.0, 1.0, 1.0)
     families = text_string_to_metric_families(metrics_text("mill", runs, trends, gauges))
     return {family.name: set(family.samples[0].labels) for family in families if family.samples}
 

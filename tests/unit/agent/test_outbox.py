@@ -88,7 +88,7 @@ def test_notices_are_delivered_in_their_order_and_once(tmp_path: Path) -> None:
         desk.put(notice(f"n-{number}"))
     assert desk.work() is None
     assert receiver.ids() == ["n-0", "n-1", "n-2"]
-    assert desk.states[-1] == ReceiverState("mail", 0, "")
+    assert desk.states[-1] == ReceiverState("mail", 0)
     assert desk.notes == []
 
 
@@ -211,7 +211,49 @@ def test_a_delivery_in_part_is_told_once(tmp_path: Path) -> None:
     with capture_logs():
         assert desk.work() is None
     assert len(desk.notes) == 1
-    assert desk.states[-1] == ReceiverState("mail", 0, "no mail for bob", f"{desk.today:%Y-%m-%dT%H:%M:%SZ}")
+    since = f"{desk.today:%Y-%m-%dT%H:%M:%SZ}"
+    assert desk.states[-1] == ReceiverState("mail", 0, "partial", "no mail for bob", since)
+
+
+def test_a_delivery_in_part_is_neither_a_failure_nor_a_delivery(tmp_path: Path) -> None:
+    """Each change between the three states is told, and counts from its own time."""
+
+    class Changing(Receiver):
+        def send(self, told: Notice) -> str:
+            self.complaint = "" if told.notice_id == "whole" else "no mail for bob"
+            if told.notice_id.startswith("fails") and not self.delivered_by_now:
+                self.delivered_by_now = True
+                raise DeliveryFailed("the receiver cannot be reached", receiver="mail server")
+            return self.complaint
+
+        delivered_by_now = False
+
+    desk = Desk(tmp_path, Changing())
+    seen: list[tuple[str, bool]] = []
+    with capture_logs():
+        for number, name in enumerate(("partial-1", "partial-2", "fails-1", "partial-3", "whole")):
+            desk.put(notice(name))
+            desk.today += timedelta(minutes=number)
+            pause_s = desk.work()
+            state = desk.states[-1]
+            seen.append((state.delivery, state.since == f"{desk.today:%Y-%m-%dT%H:%M:%SZ}"))
+            if pause_s is not None:
+                assert pause_s == FIRST_PAUSE_S, "a delivery in part is no first failure"
+                desk.now_s += pause_s
+    assert seen == [
+        ("partial", True),
+        ("partial", False),
+        ("fails", True),
+        ("partial", True),
+        ("delivers", False),
+    ]
+    words = [text.removeprefix("notifications: mail ").split(":")[0] for text in desk.notes]
+    assert words == [
+        "delivers only in part",
+        "does not deliver; it is tried again",
+        "delivers only in part",
+        "delivers again",
+    ]
 
 
 def test_a_full_outbox_drops_the_oldest(tmp_path: Path) -> None:

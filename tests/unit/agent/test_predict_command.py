@@ -8,10 +8,13 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
+from hypothesis import given
+from hypothesis import strategies as st
 
 import volcal
 from agent.cli.offline_commands.acceptance import acceptance_command
 from agent.cli.offline_commands.predict import predict_command
+from agent.workpiece.predicted_features import no_formula
 
 PLATE = volcal.shipped_file("examples/bearing-plate.csv")
 
@@ -54,6 +57,28 @@ def test_the_table_and_the_library_agree(folder: Path, tmp_path: Path) -> None:
     shown = predict(PLATE, "--estimate", folder / "estimate.json", "--at", "1000,500,400").stdout
     assert all(one.feature.name in shown for one in library)
     assert "ISO 14253-1" in shown
+
+
+def test_no_name_is_a_formula_for_a_spreadsheet(folder: Path, tmp_path: Path) -> None:
+    """Names as OWASP lists them (CSV injection), and harmless ones, which stay as they are."""
+    names = ["=HYPERLINK(1)", "+1", "-2+3", "@SUM(A1)", "bore A", "a=b", "'quoted"]
+    lines = list(csv.reader(PLATE.read_text(encoding="utf-8").splitlines()))
+    side = next(line for line in lines if line[:2] == ["side", "point"])
+    rows = [[name, "point", str(100 * number), *side[3:]] for number, name in enumerate(names)]
+    features, out = tmp_path / "features.csv", tmp_path / "out.csv"
+    with features.open("w", encoding="utf-8", newline="") as text:
+        csv.writer(text).writerows([*lines[:4], *rows])  # the header and three datum points
+    done = predict(features, "--estimate", folder, "--at", "1000,500,400", "--no-table", "--json", "-o", out)
+    assert [one["name"] for one in json.loads(done.stdout)["features"]][-len(names) :] == names
+    written = [one["name"] for one in csv.DictReader(out.read_text(encoding="utf-8").splitlines())][-len(names) :]
+    assert written == ["'=HYPERLINK(1)", "'+1", "'-2+3", "'@SUM(A1)", *names[4:]]
+
+
+@given(st.text(min_size=1))
+def test_what_begins_like_a_formula_is_text(name: str) -> None:
+    shown = no_formula(name)
+    assert shown.endswith(name)
+    assert shown[0] not in "=+-@\t\r\n"
 
 
 def test_without_the_table_something_stays_undecided(folder: Path) -> None:

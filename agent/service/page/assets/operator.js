@@ -220,11 +220,11 @@ function bankText({ active_bank: bank, written_not_active: waiting, read_age_s: 
 
 const ageText = (age) => (age < MINUTE_S ? say("age.seconds", { seconds: number(Math.floor(age), 0) }) : say("age.minutes", { minutes: number(Math.floor(age / MINUTE_S), 0) }));
 
-/* Channel of the notifications that fails: since when, why, and how many notices wait for it. */
-function receiverMark({ channel, waiting, problem, since }) {
-  const words = say("receiver.fails", { channel: say(`receiver.${channel}`), since: instant(since), waiting: number(waiting, 0) });
+/* Channel of the notifications that delivers nothing or only in part: since when, why, and how many notices wait for it. */
+function receiverMark({ channel, waiting, delivery, problem, since }) {
+  const words = say(`receiver.${delivery}`, { channel: say(`receiver.${channel}`), since: instant(since), waiting: number(waiting, 0) });
   const mark = make("li", {}, make("span", { className: "shape", ariaHidden: "true" }), `${words}: ${told(problem)}`);
-  mark.dataset.look = "fault";
+  mark.dataset.look = delivery === "partial" ? "held" : "fault";
   return mark;
 }
 

@@ -26,7 +26,7 @@ export async function parts({ run, again }) {
     wanted.shown = name;
     return again({ quiet: true });
   };
-  return [title, remark("settings.is", { file }), make("div", { className: "choosers" },
+  return [title, remark(run ? "settings.is" : "settings.is_alone", { file }), make("div", { className: "choosers" },
     field("settings.text", search), choice("settings.choose", shown.map((name) => [name, `settings.${name}`]), shown.includes(wanted.shown) ? wanted.shown : "stated", chosen)), list];
 }
 
