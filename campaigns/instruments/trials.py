@@ -8,8 +8,8 @@ each machine are compared by the E_n score of ISO 13528.
     python -m campaigns.instruments --machines 20 [--generator sines] [--worse-laser]
 
 With `--worse-laser` the air sensor of the laser is wrong by eight kelvin, which it does not state: this must show. The
-output ends with one line of JSON; the exit code is 1 unless at least 95 % of the figures agree, or if a wrong laser does
-not show.
+output ends with one line of JSON; the exit code is 1 unless at least 95 % of the figures agree, or if a wrong laser
+does not show.
 """
 
 from __future__ import annotations
@@ -58,9 +58,10 @@ _WRONG_SCALE = 8e-6
 
 @dataclass(frozen=True)
 class ShopFloor:
-    """What an instrument meets and a calibration does not: lost motion, and a machine that warms up by `warming_k_per_h`.
+    """What an instrument meets and a calibration does not: lost motion, and a machine that warms up.
 
-    `growth_um_per_k` (3,) displaces the tip and `scale_um_per_m_k` (3,) stretches the scales.
+    It warms up by `warming_k_per_h`. `growth_um_per_k` (3,) displaces the tip, and `scale_um_per_m_k` (3,) stretches the
+    scales.
     """
 
     axes: AxisBehaviour

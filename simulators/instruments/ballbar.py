@@ -13,7 +13,7 @@ import numpy as np
 
 from drivers.errors import InputError
 from simulators.instruments.machine_under_test import MachineUnderTest
-from simulators.instruments.stated_uncertainty import standard_uncertainty
+from simulators.instruments.stated_uncertainty import DRAWS, draws_of, factors, range_of, standard_uncertainty
 from simulators.world.noise import generator
 from twin.arrays import Array
 
@@ -77,10 +77,10 @@ class CircularTest:
     """Figures of a circular test, in mm, as ISO 230-4:2022 defines them, from the least-squares centre of the path.
 
     `clockwise` and `counter_clockwise` (n,) are the radial deviations of the mean path of each direction at `angles`
-    (n,) in rad. `mean` (m,) at `mean_angles` (m,) are those of the mean of both outside the reversals, which lost motion
-    does not enlarge. The circular deviations G are those of each path, of both together (bidirectional) and of the mean,
-    `hysteresis` is H. `radius` is the mean radius minus the nominal one. Those that end with `_u` are standard
-    uncertainties.
+    (n,) in rad. `mean` (m,) at `mean_angles` (m,) are those of the mean of both outside the reversals, which lost
+    motion does not enlarge. The circular deviations G are those of each path, of both together (bidirectional) and of
+    the mean, `hysteresis` is H. `radius` is the mean radius minus the nominal one. Those that end with `_u` are
+    standard uncertainties.
     """
 
     angles: Array
@@ -149,20 +149,19 @@ def _evaluated(
     steady = np.abs((angles + 0.25 * np.pi) % (0.5 * np.pi) - 0.25 * np.pi) > _REVERSAL_RAD
     noise = 1e-3 * quality.sensor_um / np.sqrt(2.0 * circle.runs)
 
-    def error(rng: np.random.Generator) -> Array:
-        scale = 1e-2 * quality.scale_percent * rng.standard_normal()
-        return (
-            scale * both
-            + 1e-3 * quality.length_um * rng.standard_normal()
-            + noise * rng.standard_normal(len(both))
-            + _set_up_of_second_order(angles, circle, quality, rng)
-        )
+    rng = draws_of(seed)
+    errors = (
+        1e-2 * quality.scale_percent * factors(rng) * both
+        + 1e-3 * quality.length_um * factors(rng)
+        + noise * rng.standard_normal((DRAWS, len(both)))
+        + _set_up_of_second_order(angles, circle, quality, rng)
+    )
 
-    def roundness(readings: Array) -> float:
-        return _range((readings - _off_centre(angles, _least_squares_circle(angles, readings)))[steady])
+    def roundness(readings: Array) -> Array:
+        return range_of((readings - _off_centre(angles, _least_squares_circle(angles, readings)))[..., steady])
 
-    def size(readings: Array) -> float:
-        return float(_least_squares_circle(angles, readings)[2])
+    def size(readings: Array) -> Array:
+        return np.asarray(_least_squares_circle(angles, readings)[..., 2])
 
     return CircularTest(
         angles=angles,
@@ -170,36 +169,36 @@ def _evaluated(
         counter_clockwise=counter,
         mean_angles=angles[steady],
         mean=mean[steady],
-        g_clockwise=_range(clockwise),
-        g_counter_clockwise=_range(counter),
+        g_clockwise=float(range_of(clockwise)),
+        g_counter_clockwise=float(range_of(counter)),
         g_bidirectional=float(max(clockwise.max(), counter.max()) - min(clockwise.min(), counter.min())),
-        g_mean=_range(mean[steady]),
-        g_mean_u=standard_uncertainty(roundness, both, error, seed),
+        g_mean=float(range_of(mean[steady])),
+        g_mean_u=standard_uncertainty(roundness, both, errors),
         hysteresis=float(np.abs(clockwise - counter).max()),
-        radius=size(both),
-        radius_u=standard_uncertainty(size, both, error, seed),
+        radius=float(size(both)),
+        radius_u=standard_uncertainty(size, both, errors),
         duration_s=duration_s,
     )
 
 
 def _least_squares_circle(angles: Array, radial: Array) -> Array:
-    """Return centre and radius (3,) of the circle that fits radial deviations (n,) best, for deviations that are small
-    against the radius and samples that are evenly spaced over the whole circle: their first Fourier coefficients."""
-    cosine, sine = np.cos(angles) @ radial, np.sin(angles) @ radial
-    return np.array([2.0 * cosine, 2.0 * sine, radial.sum()]) / len(radial)
+    """Return centres and radii (..., 3) of the circles that fit radial deviations (..., n) best.
+
+    The deviations are small against the radius, and their samples are evenly spaced over the whole circle: the fit is
+    the first Fourier coefficients.
+    """
+    fields = np.stack((2.0 * np.cos(angles), 2.0 * np.sin(angles), np.ones_like(angles)), axis=1)
+    return np.asarray(radial @ fields / len(angles))
 
 
 def _off_centre(angles: Array, centre: Array) -> Array:
-    return np.asarray(centre[0] * np.cos(angles) + centre[1] * np.sin(angles))
+    return np.asarray(centre[..., :1] * np.cos(angles) + centre[..., 1:2] * np.sin(angles))
 
 
 def _set_up_of_second_order(angles: Array, circle: Circle, quality: BallbarClass, rng: np.random.Generator) -> Array:
-    """Return the change (n,) in mm of the distance to the centre ball by a drawn set-up that a shift of the centre does
-    not explain: half of the square of what is across the bar, over the radius."""
-    x, y, z = 1e-3 * rng.normal(0.0, [quality.centre_um, quality.centre_um, quality.height_um])
+    """Return changes (DRAWS, n) in mm of the distance to the centre ball by a drawn set-up that a shift of the centre
+    does not explain: half of the square of what is across the bar, over the radius."""
+    x, y = (1e-3 * quality.centre_um * factors(rng) for _ in range(2))
+    height = 1e-3 * quality.height_um * factors(rng)
     across = y * np.cos(angles) - x * np.sin(angles)
-    return np.asarray((across**2 + z**2) / (2.0 * circle.radius_mm))
-
-
-def _range(values: Array) -> float:
-    return float(values.max() - values.min())
+    return np.asarray((across**2 + height**2) / (2.0 * circle.radius_mm))

@@ -14,7 +14,7 @@ import numpy as np
 
 from simulators.instruments.air import Air
 from simulators.instruments.machine_under_test import MachineUnderTest
-from simulators.instruments.stated_uncertainty import standard_uncertainty
+from simulators.instruments.stated_uncertainty import DRAWS, draws_of, factors, range_of, standard_uncertainty
 from simulators.instruments.target_line import TargetLine, by_target, scatter_of_mean
 from simulators.world.noise import generator
 from twin.arrays import Array
@@ -95,7 +95,7 @@ def measure_line(
     return LineMeasurement(
         along_mm=line.along_mm,
         deviations=deviations,
-        mean_range=_range(mean),
+        mean_range=float(range_of(mean)),
         mean_range_u=_uncertainty(line, mean, scatter_of_mean(deviations), quality, seed),
         systematic=float(mean_of_direction.max() - mean_of_direction.min()),
         accuracy=float(upper.max() - lower.min()),
@@ -146,14 +146,11 @@ def _reading_sigma_mm(moved_mm: Array, quality: InterferometerClass) -> Array:
 def _uncertainty(line: TargetLine, mean: Array, scatter: float, quality: InterferometerClass, seed: int) -> float:
     """Return the standard uncertainty of M in mm. The instrument knows the scatter that it saw, and the quality of its
     parts; it does not know its errors."""
-    relative = _relative_uncertainty(quality)
-
-    def error(rng: np.random.Generator) -> Array:
-        shortened = 0.5e-6 * float(np.sum((quality.beam_mrad * rng.standard_normal(2)) ** 2))
-        scale = relative * rng.standard_normal() + shortened
-        return scale * line.along_mm + scatter * rng.standard_normal(len(mean))
-
-    return standard_uncertainty(_range, mean, error, seed)
+    rng = draws_of(seed)
+    shortened = 0.5e-6 * np.sum((quality.beam_mrad * rng.standard_normal((DRAWS, 2))) ** 2, axis=1, keepdims=True)
+    scale = _relative_uncertainty(quality) * factors(rng) + shortened
+    errors = scale * line.along_mm + scatter * rng.standard_normal((DRAWS, len(mean)))
+    return standard_uncertainty(range_of, mean, errors)
 
 
 def _relative_uncertainty(quality: InterferometerClass) -> float:
@@ -167,7 +164,3 @@ def _relative_uncertainty(quality: InterferometerClass) -> float:
     ]
     changes = [part.refractivity - usual.refractivity for part in parts]
     return float(np.linalg.norm([*changes, 1e-6 * quality.wavelength_ppm]))
-
-
-def _range(values: Array) -> float:
-    return float(values.max() - values.min())

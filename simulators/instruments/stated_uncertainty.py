@@ -11,16 +11,29 @@ from twin.arrays import Array
 DRAWS = 500
 """Draws of a statement: its standard uncertainty scatters by 3 %."""
 
+Figure = Callable[[Array], Array]
+"""Function that takes readings (..., n) to their figures (...)."""
 
-def standard_uncertainty(
-    figure: Callable[[Array], float], readings: Array, error: Callable[[np.random.Generator], Array], seed: int
-) -> float:
-    """Return the standard uncertainty of `figure(readings)` if the readings have an error drawn by `error`.
+
+def draws_of(seed: int) -> np.random.Generator:
+    """Return the generator of the errors that an instrument draws for its statement, apart from those that it has."""
+    return np.random.default_rng([seed, DRAWS])
+
+
+def factors(rng: np.random.Generator) -> Array:
+    """Return standard normal factors (DRAWS, 1) of an error that all readings share."""
+    return rng.standard_normal((DRAWS, 1))
+
+
+def standard_uncertainty(figure: Figure, readings: Array, errors: Array) -> float:
+    """Return the standard uncertainty of the figure of n `readings` (n,) that have drawn `errors` (DRAWS, n).
 
     It is the rms distance from the figure of the readings, not the standard deviation: a range grows with any error,
-    and the statement must cover this too. `seed` selects the draws.
+    and the statement must cover this too.
     """
-    rng = np.random.default_rng([seed, DRAWS])
-    stated = figure(readings)
-    drawn = np.array([figure(readings + error(rng)) for _ in range(DRAWS)])
-    return float(np.sqrt(np.mean((drawn - stated) ** 2)))
+    return float(np.sqrt(np.mean((figure(readings + errors) - figure(readings)) ** 2)))
+
+
+def range_of(readings: Array) -> Array:
+    """Return the largest minus the smallest of readings (..., n)."""
+    return np.asarray(np.ptp(readings, axis=-1))

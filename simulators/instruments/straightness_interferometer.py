@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simulators.instruments.machine_under_test import MachineUnderTest
-from simulators.instruments.stated_uncertainty import standard_uncertainty
+from simulators.instruments.stated_uncertainty import DRAWS, draws_of, factors, range_of, standard_uncertainty
 from simulators.instruments.target_line import TargetLine, by_target, scatter_of_mean
 from simulators.world.noise import generator
 from twin.arrays import Array
@@ -77,14 +77,15 @@ def measure_straightness(
     alignment = 1e-6 * quality.alignment_urad * rng.standard_normal()
     seen = _read(machine, line, across, alignment, quality, rng)
 
-    def error(draw: np.random.Generator) -> Array:
-        return _drawn_error(seen, line, quality, draw)
-
     return StraightnessMeasurement(
         line.along_mm,
         _from_line(line.along_mm, seen.mean),
-        _span(line.along_mm, seen.mean),
-        standard_uncertainty(lambda mean: _span(line.along_mm, mean), seen.mean, error, seed),
+        float(_span(line.along_mm, seen.mean)),
+        standard_uncertainty(
+            lambda readings: _span(line.along_mm, readings),
+            seen.mean,
+            _drawn_errors(seen, line, quality, draws_of(seed)),
+        ),
         seen.duration_s,
     )
 
@@ -109,18 +110,18 @@ def measure_squareness(
     second = _read(machine, lines[1], axes[0], square - alignment, quality, rng)
     both = np.concatenate((first.mean, second.mean))
 
-    def angle(readings: Array) -> float:
-        one, other = np.split(readings, [len(first.mean)])
+    def angle(readings: Array) -> Array:
+        one, other = np.split(readings, [len(first.mean)], axis=-1)
         return -(_slope(lines[0].along_mm, one) + _slope(lines[1].along_mm, other))
 
-    def error(draw: np.random.Generator) -> Array:
-        turned = 1e-6 * quality.square_urad * draw.standard_normal() * lines[1].along_mm
-        return np.concatenate(
-            (_drawn_error(first, lines[0], quality, draw), _drawn_error(second, lines[1], quality, draw) + turned)
-        )
-
+    draws = draws_of(seed)
+    turned = 1e-6 * quality.square_urad * factors(draws) * lines[1].along_mm
+    errors = np.concatenate(
+        (_drawn_errors(first, lines[0], quality, draws), _drawn_errors(second, lines[1], quality, draws) + turned),
+        axis=1,
+    )
     return SquarenessMeasurement(
-        angle(both), standard_uncertainty(angle, both, error, seed), first.duration_s + second.duration_s
+        float(angle(both)), standard_uncertainty(angle, both, errors), first.duration_s + second.duration_s
     )
 
 
@@ -143,10 +144,11 @@ def _read(
     return _Readings(shown.mean(axis=(0, 1)), scatter, visit.duration_s)
 
 
-def _drawn_error(seen: _Readings, line: TargetLine, quality: StraightnessClass, rng: np.random.Generator) -> Array:
-    scale = 1e-2 * quality.scale_percent * rng.standard_normal()
-    bow = _bow(line, quality.bow_um_per_m2 * rng.standard_normal())
-    return scale * seen.mean + bow + seen.scatter * rng.standard_normal(len(seen.mean))
+def _drawn_errors(seen: _Readings, line: TargetLine, quality: StraightnessClass, rng: np.random.Generator) -> Array:
+    """Return errors (DRAWS, n) in mm of the mean readings, as the instrument knows them."""
+    scale = 1e-2 * quality.scale_percent * factors(rng)
+    bow = quality.bow_um_per_m2 * factors(rng) * _bow(line, 1.0)
+    return scale * seen.mean + bow + seen.scatter * rng.standard_normal((DRAWS, len(seen.mean)))
 
 
 def _bow(line: TargetLine, um_per_m2: float) -> Array:
@@ -159,16 +161,16 @@ def _sigma_mm(along: Array, quality: StraightnessClass) -> Array:
     return np.asarray(np.hypot(1e-3 * quality.reading_um, 1e-6 * quality.turbulence_um_per_m * along))
 
 
-def _slope(along: Array, across: Array) -> float:
-    """Return the slope of the least-squares line."""
+def _slope(along: Array, across: Array) -> Array:
+    """Return the slopes (...) of the least-squares lines of readings (..., n)."""
     centred = along - along.mean()
-    return float(centred @ across / (centred @ centred))
+    return np.asarray(across @ centred / (centred @ centred))
 
 
 def _from_line(along: Array, across: Array) -> Array:
-    return np.asarray(across - across.mean() - _slope(along, across) * (along - along.mean()))
+    slopes = _slope(along, across)[..., None]
+    return np.asarray(across - across.mean(axis=-1, keepdims=True) - slopes * (along - along.mean()))
 
 
-def _span(along: Array, across: Array) -> float:
-    left = _from_line(along, across)
-    return float(left.max() - left.min())
+def _span(along: Array, across: Array) -> Array:
+    return range_of(_from_line(along, across))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -39,7 +40,7 @@ class TargetLine:
         if not 2 <= self.runs <= MOST_RUNS:
             raise InputError(f"a line is measured in 2 to {MOST_RUNS} runs, not {self.runs}", key="runs")
 
-    @property
+    @cached_property
     def length_mm(self) -> float:
         return float(np.linalg.norm(self.end_mm - self.start_mm))
 
@@ -48,7 +49,7 @@ class TargetLine:
         """Unit vector (3,) along the line."""
         return np.asarray((self.end_mm - self.start_mm) / self.length_mm)
 
-    @property
+    @cached_property
     def along_mm(self) -> Array:
         """Distances (n,) of the targets from the start, in mm."""
         return np.linspace(0.0, self.length_mm, self.targets)
