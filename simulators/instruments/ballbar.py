@@ -13,7 +13,7 @@ import numpy as np
 
 from drivers.errors import InputError
 from simulators.instruments.machine_under_test import MachineUnderTest
-from simulators.instruments.stated_uncertainty import DRAWS, draws_of, factors, range_of, standard_uncertainty
+from simulators.instruments.stated_uncertainty import draws_of, factors, range_of, scatter, standard_uncertainty
 from simulators.world.noise import generator
 from twin.arrays import Array
 
@@ -33,13 +33,14 @@ class BallbarClass:
     """Quality of a ballbar and of its set-up, as standard uncertainties.
 
     `sensor_um` is the noise of an evaluated sample, `scale_percent` the error of the scale of the sensor, `length_um`
-    that of the calibrated length, `centre_um` the distance of the centre ball from the centre of the circle along each
-    axis of its plane, and `height_um` that across the plane.
+    that of the calibrated length, and `form_um` the form error of the balls in their seats. `centre_um` is the distance
+    of the centre ball from the centre of the circle along each axis of its plane, and `height_um` that across it.
     """
 
     sensor_um: float = 0.1
     scale_percent: float = 0.15
     length_um: float = 0.4
+    form_um: float = 0.1
     centre_um: float = 15.0
     height_um: float = 50.0
 
@@ -115,6 +116,7 @@ def measure_circle(
     scale = 1.0 + 1e-2 * quality.scale_percent * rng.standard_normal()
     length_mm = circle.radius_mm + 1e-3 * quality.length_um * rng.standard_normal()
     angles = 2.0 * np.pi * np.arange(SAMPLES) / SAMPLES
+    form_mm = 1e-3 * quality.form_um * _form(angles, *rng.standard_normal(2))
     began_s, paths = machine.now_s, []
     for turn in (1.0, -1.0):
         swept, at_s = _swept(circle, began_s)
@@ -126,7 +128,7 @@ def measure_circle(
         shown = shown[-circle.runs * SAMPLES :].reshape(circle.runs, SAMPLES)
         shown = shown + 1e-3 * quality.sensor_um * rng.standard_normal(shown.shape)
         mean = shown.mean(axis=0)
-        paths.append(mean if turn > 0.0 else np.roll(mean[::-1], 1))
+        paths.append(form_mm + (mean if turn > 0.0 else np.roll(mean[::-1], 1)))
     raw = np.stack(paths)
     return _evaluated(angles, raw, circle, quality, seed, began_s - machine.now_s)
 
@@ -153,7 +155,8 @@ def _evaluated(
     errors = (
         1e-2 * quality.scale_percent * factors(rng) * both
         + 1e-3 * quality.length_um * factors(rng)
-        + noise * rng.standard_normal((DRAWS, len(both)))
+        + noise * scatter(rng, len(both))
+        + 1e-3 * quality.form_um * _form(angles, factors(rng), factors(rng))
         + _set_up_of_second_order(angles, circle, quality, rng)
     )
 
@@ -193,6 +196,11 @@ def _least_squares_circle(angles: Array, radial: Array) -> Array:
 
 def _off_centre(angles: Array, centre: Array) -> Array:
     return np.asarray(centre[..., :1] * np.cos(angles) + centre[..., 1:2] * np.sin(angles))
+
+
+def _form(angles: Array, cosine: float | Array, sine: float | Array) -> Array:
+    """Return a form error (..., n) of three lobes, the lowest that neither the centre nor an ellipse takes up."""
+    return np.asarray((cosine * np.cos(3.0 * angles) + sine * np.sin(3.0 * angles)) / np.sqrt(2.0))
 
 
 def _set_up_of_second_order(angles: Array, circle: Circle, quality: BallbarClass, rng: np.random.Generator) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 
 from simulators.instruments.air import Air
 from simulators.instruments.machine_under_test import MachineUnderTest
-from simulators.instruments.stated_uncertainty import DRAWS, draws_of, factors, range_of, standard_uncertainty
+from simulators.instruments.stated_uncertainty import DRAWS, draws_of, factors, range_of, scatter, standard_uncertainty
 from simulators.instruments.target_line import TargetLine, by_target, scatter_of_mean
 from simulators.world.noise import generator
 from twin.arrays import Array
@@ -143,13 +143,13 @@ def _reading_sigma_mm(moved_mm: Array, quality: InterferometerClass) -> Array:
     return np.asarray(np.hypot(1e-3 * quality.reading_um, turbulence_mm))
 
 
-def _uncertainty(line: TargetLine, mean: Array, scatter: float, quality: InterferometerClass, seed: int) -> float:
+def _uncertainty(line: TargetLine, mean: Array, spread: float, quality: InterferometerClass, seed: int) -> float:
     """Return the standard uncertainty of M in mm. The instrument knows the scatter that it saw, and the quality of its
     parts; it does not know its errors."""
     rng = draws_of(seed)
     shortened = 0.5e-6 * np.sum((quality.beam_mrad * rng.standard_normal((DRAWS, 2))) ** 2, axis=1, keepdims=True)
     scale = _relative_uncertainty(quality) * factors(rng) + shortened
-    errors = scale * line.along_mm + scatter * rng.standard_normal((DRAWS, len(mean)))
+    errors = scale * line.along_mm + spread * scatter(rng, len(mean))
     return standard_uncertainty(range_of, mean, errors)
 
 

@@ -11,6 +11,10 @@ from twin.arrays import Array
 DRAWS = 500
 """Draws of a statement: its standard uncertainty scatters by 3 %."""
 
+_ONCE_MORE = float(np.sqrt(3.0))
+"""The readings contain their scatter σ already, by which a range has grown in proportion to σ. Scatter of σ √3 on top
+makes it 2 σ: the range then grows as much again as it had grown before, and this growth is in the statement."""
+
 Figure = Callable[[Array], Array]
 """Function that takes readings (..., n) to their figures (...)."""
 
@@ -23,6 +27,11 @@ def draws_of(seed: int) -> np.random.Generator:
 def factors(rng: np.random.Generator) -> Array:
     """Return standard normal factors (DRAWS, 1) of an error that all readings share."""
     return rng.standard_normal((DRAWS, 1))
+
+
+def scatter(rng: np.random.Generator, readings: int) -> Array:
+    """Return factors (DRAWS, n) of an error that is independent from reading to reading, of size `_ONCE_MORE`."""
+    return _ONCE_MORE * rng.standard_normal((DRAWS, readings))
 
 
 def standard_uncertainty(figure: Figure, readings: Array, errors: Array) -> float:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simulators.instruments.machine_under_test import MachineUnderTest
-from simulators.instruments.stated_uncertainty import DRAWS, draws_of, factors, range_of, standard_uncertainty
+from simulators.instruments.stated_uncertainty import draws_of, factors, range_of, scatter, standard_uncertainty
 from simulators.instruments.target_line import TargetLine, by_target, scatter_of_mean
 from simulators.world.noise import generator
 from twin.arrays import Array
@@ -58,10 +58,10 @@ class SquarenessMeasurement:
 
 @dataclass(frozen=True, eq=False)
 class _Readings:
-    """Mean readings (n,) in mm at the targets, their standard uncertainty (n,), and the time that they took."""
+    """Mean readings (n,) in mm at the targets, their standard uncertainty by scatter, and the time that they took."""
 
     mean: Array
-    scatter: Array
+    spread: float
     duration_s: float
 
 
@@ -140,15 +140,14 @@ def _read(
     shown = (1.0 + 1e-2 * quality.scale_percent * rng.standard_normal()) * (seen + slope * along)
     shown = shown + _bow(line, quality.bow_um_per_m2 * rng.standard_normal())
     shown = shown + _sigma_mm(along, quality) * rng.standard_normal(shown.shape)
-    scatter = np.full(len(along), scatter_of_mean(shown))
-    return _Readings(shown.mean(axis=(0, 1)), scatter, visit.duration_s)
+    return _Readings(shown.mean(axis=(0, 1)), scatter_of_mean(shown), visit.duration_s)
 
 
 def _drawn_errors(seen: _Readings, line: TargetLine, quality: StraightnessClass, rng: np.random.Generator) -> Array:
     """Return errors (DRAWS, n) in mm of the mean readings, as the instrument knows them."""
     scale = 1e-2 * quality.scale_percent * factors(rng)
     bow = quality.bow_um_per_m2 * factors(rng) * _bow(line, 1.0)
-    return scale * seen.mean + bow + seen.scatter * rng.standard_normal((DRAWS, len(seen.mean)))
+    return scale * seen.mean + bow + seen.spread * scatter(rng, len(seen.mean))
 
 
 def _bow(line: TargetLine, um_per_m2: float) -> Array:
