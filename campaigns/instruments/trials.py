@@ -58,7 +58,7 @@ _WRONG_SCALE = 8e-6
 
 @dataclass(frozen=True)
 class ShopFloor:
-    """What an instrument meets and a calibration does not: lost motion, and a machine that warms up.
+    """Conditions in front of an instrument that a calibration does not meet: lost motion, and a machine that warms up.
 
     It warms up by `warming_k_per_h`. `growth_um_per_k` (3,) displaces the tip, and `scale_um_per_m_k` (3,) stretches
     the scales.

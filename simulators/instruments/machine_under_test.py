@@ -60,7 +60,7 @@ class MachineUnderTest:
     def _moved(self, path_mm: Array, at_s: Array, behaviour: AxisBehaviour) -> Array:
         play = PlayOperator(behaviour, self.seed)
         lag = [play.after(point(start), point(end)) for start, end in pairwise(path_mm)]
-        return self.displaced(path_mm, at_s) + np.array([(0.0, 0.0, 0.0), *lag])
+        return np.asarray(self.displaced(path_mm, at_s) + np.array([(0.0, 0.0, 0.0), *lag]))
 
 
 def machine_of_world(world: World, bank: int | None, seed: int) -> MachineUnderTest:
@@ -77,7 +77,7 @@ def machine_of_world(world: World, bank: int | None, seed: int) -> MachineUnderT
     shift.homing = world.controller.homing_offset_mm
 
     def displaced(path_mm: Array, at_s: Array) -> Array:
-        found = shift.field_at_many(path_mm) + np.array(shift.homing)
+        found: Array = shift.field_at_many(path_mm) + np.array(shift.homing)
         correction = np.zeros_like(path_mm) if shift.table is None else shift.table.at_many(path_mm)
         bare = path_mm + correction + np.array(shift.homing)
         for number, instant_s in enumerate(at_s.tolist()):

@@ -81,7 +81,7 @@ def _seed(request: Answer) -> int:
 
 
 def _squareness(machine: MachineUnderTest, request: Answer, seed: int) -> Answer:
-    ends, targets = request.get("lines_mm"), request.get("targets", [_TARGETS, _TARGETS])
+    ends, targets = request.get("lines_mm", []), request.get("targets", [_TARGETS, _TARGETS])
     if not (_are_two(ends) and all(_are_two(one) for one in ends)):
         raise InputError("lines_mm must be two lines, each with its two ends", key="lines_mm")
     if not _are_two(targets):

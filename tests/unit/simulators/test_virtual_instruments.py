@@ -10,9 +10,8 @@ from worlds import case_study, ideal_world
 
 from drivers.errors import InputError
 from drivers.roles import TableImage
-from simulators.instruments.air import Air
 from simulators.instruments.ballbar import BallbarClass, Circle, measure_circle
-from simulators.instruments.interferometer import InterferometerClass, measure_line
+from simulators.instruments.interferometer import Air, InterferometerClass, measure_line
 from simulators.instruments.machine_under_test import MachineUnderTest, machine_of_world
 from simulators.instruments.straightness_interferometer import (
     StraightnessClass,
