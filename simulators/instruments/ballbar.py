@@ -138,7 +138,7 @@ def _swept(circle: Circle, began_s: float) -> tuple[Array, Array]:
     instants (m,) in s."""
     step = 2.0 * np.pi / SAMPLES
     approach = round(_APPROACH_RAD / step)
-    swept: Array = step * np.arange(-approach, circle.runs * SAMPLES)
+    swept = np.asarray(step * np.arange(-approach, circle.runs * SAMPLES), dtype=np.float64)
     return swept, began_s + (swept - swept[0]) * circle.radius_mm / FEED_MM_PER_S
 
 
