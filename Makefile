@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup run test quick long-forms check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming foreign linuxcnc grbl faults endurance crash-points power-cuts requests fuzz fuzz-guided http-interface gcode part-programs schema reference figures audit wheel deb deb-test sbom reproducible release clean
+.PHONY: setup run test quick long-forms check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming foreign instruments linuxcnc grbl faults endurance crash-points power-cuts requests fuzz fuzz-guided http-interface gcode part-programs schema reference figures audit wheel deb deb-test sbom reproducible release clean
 
 setup: $(STAMP)
 
@@ -107,6 +107,11 @@ warming: setup
 MACHINES ?= 500
 foreign: setup
 	$(BIN)/python -m campaigns.foreign --machines $(MACHINES)
+
+# Predictions against a virtual laser interferometer and ballbar, on machines that share no code with the program. A few
+# minutes of CPU time; ends with one line of JSON.
+instruments: setup
+	$(BIN)/python -m campaigns.instruments
 
 # A whole calibration over a serial line with a simulated GRBL and grblHAL, disturbed at random instants: holds, resets,
 # alarms, cables unplugged and replugged. Half an hour on two busy cores; ends with one line of JSON.

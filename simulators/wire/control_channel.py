@@ -17,6 +17,7 @@ import structlog
 from drivers.errors import InputError, VolcalError
 from drivers.roles import MotionState, Permission, TableImage, Vector
 from simulators.scenario import Misplacement
+from simulators.wire.instrument_requests import INSTRUMENT_KEYS
 from simulators.wire.shared_world import SharedWorld, TimeDriven
 from simulators.wire.tcp_server import TcpServer, serve_lines
 from twin.machine.kinematic_chain import AXES
@@ -24,6 +25,8 @@ from twin.machine.kinematic_chain import AXES
 Answer = dict[str, Any]
 FailDrive = Callable[[int, str], None]
 """Function that injects a fault, given the node id and the fault. Raises InputError if either is unknown."""
+Measure = Callable[[Answer], Answer]
+"""Function that measures the machine with a virtual instrument, given the request. Raises InputError if it is bad."""
 
 REQUEST_KEYS = {
     "place_artefact": ("station",),
@@ -31,6 +34,7 @@ REQUEST_KEYS = {
     "drive": ("node", "fault"),
     "jog": ("axis", "distance_mm"),
     "deflect": ("deflected",),
+    **INSTRUMENT_KEYS,
 }
 """Keys that each request may have in addition to `do`."""
 
@@ -109,7 +113,11 @@ class ControlServer:
     """Server of the control channel on `address`, for any number of clients."""
 
     def __init__(
-        self, shared: SharedWorld[ControllableWorld], address: tuple[str, int], fail_drive: FailDrive | None = None
+        self,
+        shared: SharedWorld[ControllableWorld],
+        address: tuple[str, int],
+        fail_drive: FailDrive | None = None,
+        measure: Measure | None = None,
     ) -> None:
         self._shared = shared
         self._fail_drive = fail_drive
@@ -123,6 +131,7 @@ class ControlServer:
             "drive": self._drive,
             "jog": self._jog,
             "deflect": self._deflect,
+            **(dict.fromkeys(INSTRUMENT_KEYS, measure) if measure is not None else {}),
         }
         self._server = TcpServer("control", address, self._serve)
         self.address = self._server.address

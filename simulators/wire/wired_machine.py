@@ -15,6 +15,7 @@ from simulators.wire.can.mounts import CanMounts, drive_configs
 from simulators.wire.control_channel import ControlServer
 from simulators.wire.grbl.dialect import GRBL_11, GrblDialect
 from simulators.wire.grbl.port import GrblPort
+from simulators.wire.instrument_requests import VirtualInstruments
 from simulators.wire.modbus.controller import ModbusController
 from simulators.wire.modbus.numbers import Float64Numbers, RegisterNumberFormat
 from simulators.wire.modbus.rtu import LineSettings, ModbusRtuController
@@ -67,7 +68,8 @@ class WiredMachine:
             undo.callback(self.close)
             self.modbus = self._controller(links)
             self._servers.append(self.modbus)
-            self.control = ControlServer(self._shared, links.control, self._fail_drive)
+            instruments = VirtualInstruments(self._shared)
+            self.control = ControlServer(self._shared, links.control, self._fail_drive, instruments.measure)
             self._servers.append(self.control)
             if links.can is not None:
                 if not self.world.mounts:

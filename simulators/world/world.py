@@ -60,7 +60,7 @@ class World:
             point(scenario.machine.tool(settings.tool)),
             settings.seed,
         )
-        changes = FieldChanges(thermal, collision_in_run(machine, settings.ageing))
+        self.changes = FieldChanges(thermal, collision_in_run(machine, settings.ageing))
         self.scenario = scenario
         self.now = 0.0
         self.collisions: list[Collision] = []
@@ -70,12 +70,12 @@ class World:
             scenario,
             machine_field=None if machine.is_perfect else machine.deviation,
             table=self.table,
-            changes=changes,
+            changes=self.changes,
             on_motion=self._expect_change,
             on_collision=self._record,
         )
         self.truth = MachineTruth(
-            machine, scenario.machine.model, self.controller.applied_tables, lambda: changes.field(self.now)
+            machine, scenario.machine.model, self.controller.applied_tables, lambda: self.changes.field(self.now)
         )
         self._turn_crash: TurnCrash | None = None
         self._looked_ahead = True

@@ -61,7 +61,7 @@ def demo(directory: Path, *options: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_demo_ends_with_one_json_object(tmp_path: Path) -> None:
-    ended = demo(tmp_path, "--json")
+    ended = demo(tmp_path, "--json", "--cross-check")
     assert ended.returncode == 0, ended.stderr
     lines = ended.stdout.splitlines()
     assert len(lines) == 1
@@ -82,6 +82,10 @@ def test_demo_ends_with_one_json_object(tmp_path: Path) -> None:
         assert figure["inside"] == (low <= figure["true_um"] <= high)
         assert 0.9 * low < figure["true_um"] < 1.1 * high
     assert Path(document["report"]).is_file()
+    compared = document["cross_check"]["figures"]
+    assert [figure["with_table"] for figure in compared] == [False] * 19 + [True] * 19
+    assert document["cross_check"]["agreeing"] == sum(abs(figure["en"]) <= 1.0 for figure in compared)
+    assert Path(document["report"]).with_name("cross-check.svg").is_file()
     assert "min left" in ended.stderr.replace("of machine time ", "")
     assert "127.0.0.1" in ended.stderr
 

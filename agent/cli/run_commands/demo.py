@@ -45,6 +45,11 @@ if will_run():
     metavar="PATH|any[@BAUD,8P1]",
     help="Controller on a serial line instead of TCP, in the form of `volcal simulate --modbus-rtu`.",
 )
+@click.option(
+    "--cross-check",
+    is_flag=True,
+    help="Afterwards measure the machine with a virtual laser and ballbar, and compare with the prediction.",
+)
 @click.option("--out", type=click.Path(path_type=Path), default=Path("runs"), show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end.")
 @reported
@@ -59,6 +64,7 @@ def demo_command(
     slot_minutes: float | None,
     can: str,
     modbus_rtu: str | None,
+    cross_check: bool,
     out: Path,
     as_json: bool,
 ) -> None:
@@ -77,5 +83,6 @@ def demo_command(
         can=can,
         modbus_rtu=modbus_rtu,
         end=end,
+        cross_check=cross_check,
         as_json=as_json,
     )

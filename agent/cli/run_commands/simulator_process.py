@@ -98,9 +98,9 @@ class SimulatorProcess:
             process.kill()
             process.wait()
 
-    def ask(self, request: str) -> dict[str, Any]:
-        """Send the request ``truth`` (the true errors), ``collisions`` (their number) or ``status`` to the simulator's
-        control channel, and return the answer.
+    def ask(self, request: str, **keys: Any) -> dict[str, Any]:
+        """Send the request ``truth`` (the true errors), ``collisions`` (their number), ``status`` or that of a
+        measuring instrument, with its other `keys`, to the simulator's control channel, and return the answer.
 
         Raises LinkLost if the control channel can no longer be used, and ProtocolError if the simulator refuses the
         request.
@@ -108,7 +108,7 @@ class SimulatorProcess:
         place = self.ready["control"]
         try:
             with socket.create_connection((place["host"], place["port"]), timeout=READY_WITHIN_S) as link:
-                link.sendall(json.dumps({"do": request}).encode() + b"\n")
+                link.sendall(json.dumps({"do": request, **keys}).encode() + b"\n")
                 with link.makefile("r", encoding="utf-8") as answers:
                     answer: dict[str, Any] = json.loads(answers.readline())
         except (OSError, ValueError) as error:
