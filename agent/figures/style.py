@@ -40,6 +40,8 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 MAP_COLOURS = "viridis"
 BAND_OPACITY = 0.22
 DOTS_PER_INCH = 150
+REPORT_WIDTH_IN = 8.6
+"""Width of a figure of a report. On A4 paper it is reduced by a sixth, so that its text stays readable."""
 
 PAGE_VARIABLES = {
     INK: "currentColor",

@@ -136,7 +136,7 @@ def test_a_calibration_is_far_better_than_the_file_and_rests_on_the_length() -> 
     assert found.before.balls == found.scale.balls == (0, END)
     assert found.scale.standard_uncertainty_mm == pytest.approx(CERTIFICATE_MM, rel=0.1)
     assert found.not_improved == ()
-    assert "distance of balls 0 and 10, which was known to 0.8 µm (0.53 ppm, k = 1)" in found.limits[0]
+    assert "distance of balls 0 and 10, which was known to 1.6 µm (1.1 ppm, k = 2)" in found.limits[0]
 
 
 @pytest.mark.parametrize("seed", range(2))
