@@ -57,8 +57,8 @@ class ReportSettings(StrictModel):
     `language` is that of the report that is stored at the end of each run, and of `volcal report` and the page of a
     plant unless they are asked for another one. The number of the report is `number_prefix` followed by the identity of
     the run. `customer`, `place`, `operator`, `machine` and `instruments` are shown at the head of the report, and
-    `procedures` beside the standards. `measured_by` and `approved_by` are the names below the lines for signatures. What
-    is not stated is shown as "not stated".
+    `procedures` beside the standards. `measured_by` and `approved_by` are the names below the lines for signatures.
+    What is not stated is shown as "not stated".
 
     `tolerances` maps geometric errors of ISO 230-1 (such as EXX or A0Z), the volumetric error VE and the volumetric
     compensated error VCE to their tolerances in µm or µrad. That of a geometric error is compared with its range over

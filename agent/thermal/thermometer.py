@@ -65,8 +65,8 @@ class ThermometerFacts:
             return "Temperature of the artefact: exact, as stated."
         return (
             f"Temperature of the artefact ±{2.0 * self.standard_uncertainty_k:g} K (k = 2): scale "
-            f"±{2.0 * self.scale_um_per_m:.1f} µm/m. It contributes {self.contribution_um:.2f} µm to the predicted VCE (aligned), which would be "
-            f"{self.vce_if_known_um:.2f} µm if the temperature were known."
+            f"±{2.0 * self.scale_um_per_m:.1f} µm/m. It contributes {self.contribution_um:.2f} µm to the "
+            f"predicted VCE (aligned), which would be {self.vce_if_known_um:.2f} µm if the temperature were known."
         )
 
     @property
@@ -86,5 +86,6 @@ class ThermometerFacts:
             return None
         return (
             f"The uncertainty of the thermometer is not stated: {2.0 * self.standard_uncertainty_k:g} K (k = 2) is "
-            "assumed. State its standard uncertainty, half of U, with temperature.standard_uncertainty_k in the settings or, for files, --temperature-uncertainty."
+            "assumed. State its standard uncertainty, half of U, with "
+            "temperature.standard_uncertainty_k in the settings or, for files, --temperature-uncertainty."
         )

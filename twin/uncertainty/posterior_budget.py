@@ -1,15 +1,16 @@
 """Budget of uncertainty of one estimate: the part of its covariance that each influence causes.
 
 The covariance C of all unknowns of an identification, given the measurements, is divided into parts that add up to it.
-The error of the artefact's temperature, that of its coefficient of thermal expansion (CTE), those of its certificate and
-that of its sag are unknowns themselves. If an influence with the unknowns b were known, C would decrease by
-C[:, b] C[b, b]⁻¹ C[b, :]. This is its part; each is taken from what the influences before it have left.
+The error of the artefact's temperature, that of its coefficient of thermal expansion (CTE), those of its certificate
+and that of its sag are unknowns themselves. If an influence with the unknowns b were known, C would decrease by C[:,
+b] C[b, b]⁻¹ C[b, :]. This is its part; each is taken from what the influences before it have left.
 
-The rest S is the covariance of the parameters and of the misfit. In the directions u in which S and the prior covariance
-P of the machine's family are both diagonal, with S = Σ λ u u' and P = Σ u u', a share 1 - λ of the knowledge comes from
-the measurements and a share λ from the family. With fixed scales, Σ λ (1 - λ) u u' = H⁻¹ N H⁻¹ is exactly the covariance
-that the noise of the ball centres causes, where H = S⁻¹ and N is the information of the measurements, and Σ λ² u u' =
-H⁻¹ P⁻¹ H⁻¹ is the one that errors of the machine cause which the measurements do not determine.
+The rest S is the covariance of the parameters and of the misfit. In the directions u in which S and the prior
+covariance P of the machine's family are both diagonal, with S = Σ λ u u' and P = Σ u u', a share 1 - λ of the
+knowledge comes from the measurements and a share λ from the family. With fixed scales, Σ λ (1 - λ) u u' = H⁻¹ N H⁻¹ is
+exactly the covariance that the noise of the ball centres causes, where H = S⁻¹ and N is the information of the
+measurements, and Σ λ² u u' = H⁻¹ P⁻¹ H⁻¹ is the one that errors of the machine cause which the measurements do not
+determine.
 """
 
 from __future__ import annotations

@@ -303,7 +303,7 @@ class ReportData:
     gates: tuple[Gate, ...] = ()
     warnings: tuple[str, ...] = ()
     run: RunFacts = RunFacts()
-    document: ReportSettings = ReportSettings()
+    document: ReportSettings = field(default_factory=ReportSettings)
 
 
 def name_of_positions(positions: Sequence[Position]) -> str:

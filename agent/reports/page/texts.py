@@ -36,7 +36,9 @@ ENGLISH: Texts = {
     "certificate": "certificate",
     "calibrated": "calibrated",
     "due": "next due",
-    "calibration_overdue": "{instrument} ({said}): the calibration was due on {due}, before this measurement of {measured}.",
+    "calibration_overdue": (
+        "{instrument} ({said}): the calibration was due on {due}, before this measurement of {measured}."
+    ),
     "calibrated_later": "{instrument} ({said}): the calibration of {day} is later than this measurement of {measured}.",
     "convention": (
         "All uncertainties in this report are expanded uncertainties U with the coverage factor k = 2, for a coverage "
@@ -46,13 +48,13 @@ ENGLISH: Texts = {
     # method and standards
     "method": "Method and standards",
     "method_measured": (
-        "The centres of the balls of a calibrated artefact were measured with the touch-trigger probe of the machine in "
-        "several positions of the artefact, each centre from several touches."
+        "The centres of the balls of a calibrated artefact were measured with the touch-trigger probe of the machine "
+        "in several positions of the artefact, each centre from several touches."
     ),
     "method_identified": (
-        "The geometric errors were identified from all centres together: least squares with the covariances of centres, "
-        "certificate and temperature. The pose of the artefact in each position is unknown. The known spread of "
-        "machines of this kind (machine family) determines what the positions do not."
+        "The geometric errors were identified from all centres together: least squares with the covariances of "
+        "centres, certificate and temperature. The pose of the artefact in each position is unknown. The known "
+        "spread of machines of this kind (machine family) determines what the positions do not."
     ),
     "method_verified": (
         "The new table was then proved by measurements at positions that the estimate does not use, before and after "
@@ -106,9 +108,9 @@ ENGLISH: Texts = {
     "tile_ve_before": "VCE after the last accepted night",
     # captions and notes
     "calibration_note": (
-        "Ball centres at the reference temperature, estimated together with the errors of the machine, with U (k = 2). "
-        "This is not a certificate of calibration. artefact.toml and artefact-covariance.csv beside this report hold them with "
-        "all correlations."
+        "Ball centres at the reference temperature, estimated together with the errors of the machine, with U (k = "
+        "2). This is not a certificate of calibration. artefact.toml and artefact-covariance.csv beside this report "
+        "hold them with all correlations."
     ),
     "summary_note": (
         "The volumetric error (VE) is the rms length of the deviation of the tool point over a regular grid of the"
@@ -125,8 +127,8 @@ ENGLISH: Texts = {
         " regression with its 95 % band, separate sections at steps. Dashed: tolerance."
     ),
     "curves_note": (
-        "Errors of the machine without table, with bands of ±U (k = 2). Rows: axes X, Y, Z. Columns: errors of ISO 230-1, "
-        "displacements along X, Y, Z in µm and rotations about X, Y, Z in µrad. A wide band means that the "
+        "Errors of the machine without table, with bands of ±U (k = 2). Rows: axes X, Y, Z. Columns: errors of ISO "
+        "230-1, displacements along X, Y, Z in µm and rotations about X, Y, Z in µrad. A wide band means that the "
         "measured positions hardly determine this function; it then follows the machine family."
     ),
     "squareness_note": (
@@ -162,15 +164,15 @@ ENGLISH: Texts = {
     "upper": "upper limit / µm",
     "limits": "Tolerances of the volumetric error",
     "decision_rule": (
-        "Decision rule after ISO 14253-1 with a guard band of U (k = 2), or of the 95 % limits: it conforms if its size "
-        "and U together are within the tolerance, and does not conform if its size less U is beyond it. In between, "
-        "neither is proven."
+        "Decision rule after ISO 14253-1 with a guard band of U (k = 2), or of the 95 % limits: it conforms if its "
+        "size and U together are within the tolerance, and does not conform if its size less U is beyond it. In "
+        "between, neither is proven."
     ),
     "budget_note": (
-        "VCE: rms error that each influence leaves after compensation. Other columns: contribution to U (k = 2) of the "
-        "VE without table, to first order, of the ranges of the positioning errors, and of the squarenesses. The squares "
-        "of a column add up. Temperature, expansion, certificate and sag are what would vanish if they were known, in this "
-        "order; the stated thermometer, certificate and artefact file determine them."
+        "VCE: rms error that each influence leaves after compensation. Other columns: contribution to U (k = 2) of "
+        "the VE without table, to first order, of the ranges of the positioning errors, and of the squarenesses. The "
+        "squares of a column add up. Temperature, expansion, certificate and sag are what would vanish if they were "
+        "known, in this order; the stated thermometer, certificate and artefact file determine them."
     ),
     "influence": "influence",
     "budget_vce": "VCE / µm",
@@ -196,7 +198,9 @@ ENGLISH: Texts = {
         "stylus are the lobes of a probe with a three-point seat. Lines, if any, are the pretravel map subtracted "
         "from every touch."
     ),
-    "parameters_note": "Legendre coefficients on the axis ranges normalised to [-1, 1]; U is the expanded uncertainty (k = 2).",
+    "parameters_note": (
+        "Legendre coefficients on the axis ranges normalised to [-1, 1]; U is the expanded uncertainty (k = 2)."
+    ),
     "inputs_note": "SHA-256 of the files at the start of the run.",
     "no_estimate": (
         "This run has no estimate. Its measurements are stored in the journal. The table that "
