@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from scipy.linalg import eigh
@@ -117,11 +117,10 @@ def posterior_budget(estimate: KnownEstimate, *, family_prior: bool) -> Posterio
 def _influences(unknowns: Unknowns) -> dict[str, list[int]]:
     """Return the indices of the unknowns of each influence on the artefact, in the order in which they are removed."""
     blocks = unknowns.blocks
-    all_of: dict[str, Any] = {"thermometer": TEMPERATURE, "cte": EXPANSION}
-    strains = {all_of[name]: [blocks.strain.start + i] for i, name in enumerate(unknowns.artefact.strain_names)}
+    strains = {name: [blocks.strain.start + i] for i, name in enumerate(unknowns.artefact.strain_names)}
     found = {
-        TEMPERATURE: strains.get(TEMPERATURE, []),
-        EXPANSION: strains.get(EXPANSION, []),
+        TEMPERATURE: strains.get("thermometer", []),
+        EXPANSION: strains.get("cte", []),
         CERTIFICATE: list(range(blocks.size)[blocks.certificate]),
         SAG: list(range(blocks.size)[blocks.sag]),
     }

@@ -81,8 +81,8 @@ def error_tables(identification: IdentificationData, tolerances: Mapping[str, fl
     heads = (t["error"], t["meaning"], t["size"], t["expanded"], t["unit"])
     numeric = (t["size"], t["expanded"])
     if limited:
-        heads, numeric = (*heads, t["tolerance"], t["conformity"]), (*numeric, t["tolerance"])
-        return [Table(heads, tuple(cells), numeric)]
+        wider = (*heads, t["tolerance"], t["conformity"])
+        return [Table(wider, tuple(cells), (*numeric, t["tolerance"]))]
     half = (len(cells) + 1) // 2
     return [Table(heads, tuple(part), numeric) for part in (cells[:half], cells[half:]) if part]
 
@@ -91,7 +91,9 @@ def _cells(row: ErrorRow, tolerance: float | None, t: Texts, *, limited: bool) -
     first = (row.name, row.meaning, fixed(row.size, 1), fixed(row.expanded_uncertainty, 1), row.unit)
     if not limited:
         return first
-    return (*first, "–" if tolerance is None else f"{tolerance:g}", t[row.conformity(tolerance).name.lower()])
+    if tolerance is None:
+        return (*first, "–", "–")
+    return (*first, f"{tolerance:g}", t[row.conformity(tolerance).name.lower()])
 
 
 def volumetric_conformity(

@@ -25,7 +25,6 @@ GAP_IN = 0.25
 BAR_IN = 0.12
 ROOM = Margins(right=0.5, bottom=0.38)
 HIGHEST_IN = 4.0
-WITHOUT, WITH = "without table", "with table"
 _LONG = 0.6
 """Width of a plane relative to its length below which planes are drawn below each other."""
 
@@ -129,15 +128,15 @@ def draw_pair(before: PlaneMap, after: PlaneMap) -> str:
     that are much longer than wide are drawn below each other, others side by side."""
     stacked = _ratio(before) < _LONG
     shape = (2, 1) if stacked else (1, 2)
-    titled = [(WITHOUT, before), (WITH, after)]
+    titled = [("without table", before), ("with table", after)]
     return _draw_grid("error-map", titled, shape, labelled=True)
 
 
 def draw_all(before: Sequence[PlaneMap], after: Sequence[PlaneMap]) -> str:
     """Return an SVG with all planes of the workspace without and with the table, on one colour scale from zero."""
     heights = len(before)
-    pairs = [(f"{WITHOUT}, Z = {plane.z_mm:g} mm", plane) for plane in before]
-    others = [(f"{WITH}, Z = {plane.z_mm:g} mm", plane) for plane in after]
+    pairs = [(f"without table, Z = {plane.z_mm:g} mm", plane) for plane in before]
+    others = [(f"with table, Z = {plane.z_mm:g} mm", plane) for plane in after]
     if _ratio(before[0]) < _LONG:
         rows = [one for pair in zip(pairs, others, strict=True) for one in pair]
         return _draw_grid("error-maps", rows, (heights, 2), labelled=False)

@@ -58,7 +58,9 @@ def draw_by_position(residuals: BallResiduals) -> str:
         panel.set_xlim(-0.6, float(residuals.position.max()) + 0.6)
         panel.set_xlabel("position, counted from 0 (its balls from left to right)")
         panel.set_ylabel("residual / µm")
-        panel.legend(ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, handletextpad=0.2)
+        panel.legend(
+            ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, handletextpad=0.2, markerscale=2.0
+        )
         panel.grid(visible=False, axis="x")
     return drawing.svg()
 
@@ -111,7 +113,7 @@ def _per_ball(panel: Axes, residuals: BallResiduals) -> None:
     panel.set_ylim(bottom=0.0)
     panel.set_xlabel("ball")
     panel.set_ylabel("rms residual / µm")
-    panel.set_title("rms per ball over all positions", loc="left")
+    panel.set_title("rms per ball", loc="left")
     panel.xaxis.set_major_locator(MaxNLocator(integer=True))
     panel.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, handletextpad=0.2)
 

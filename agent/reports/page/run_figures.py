@@ -62,7 +62,7 @@ def draw_verification(positions: Sequence[VerifiedPosition]) -> str:
             panel.plot(*zip(*bare, strict=True), "s", color=ORANGE, markersize=5, label="before")
         panel.plot(place, [item.after_um for item in positions], "o", color=BLUE, markersize=5, label="after")
         limits = [2.0 * item.predicted_um for item in positions]
-        panel.plot(place, limits, "_", color=INK, markersize=14, label="limit: twice the expected rms")
+        panel.plot(place, limits, "_", color=INK, markersize=14, label="limit")
         many = len(positions) > MAX_UPRIGHT
         labels = [item.label if many else item.label.replace(", ", "\n", 1) for item in positions]
         panel.set_xticks(place, labels, rotation=25 if many else 0, ha="right" if many else "center")

@@ -156,7 +156,6 @@ ENGLISH: Texts = {
     "conforms": "conforms",
     "does_not_conform": "does not conform",
     "undecided": "neither proven",
-    "no_tolerance": "no tolerance",
     "tolerated_ve": "VE without table",
     "tolerated_vce": "VCE with table, predicted",
     "value_um": "value / µm",
