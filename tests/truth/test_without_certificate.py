@@ -215,7 +215,7 @@ def test_the_calibration_of_a_run_is_an_artefact_file(tmp_path: Path) -> None:
     error = calibrated.balls - rigidly_aligned(bar.true, calibrated.balls)
     assert np.mean(1e3 * np.abs(error) <= np.array(stated["expanded_uncertainty_um"])) > 0.85
     page = (out / "report.html").read_text()
-    assert "Certificate of the artefact by this run" in page
+    assert "Artefact as measured by this run" in page
     assert stated["limits"][0] in page
     # with it, another machine is identified as with a certificate
     machine = foreign_machine(np.random.default_rng(1))
