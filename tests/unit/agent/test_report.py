@@ -291,7 +291,7 @@ STATED: dict[str, Any] = {
         {"kind": "sensor", "serial_number": "S 2", "calibrated": "2026-03-02"},
         {"kind": "probe", "calibrated": "2026-01-01", "due": "2026-03-01"},
     ],
-    "tolerances": {"EXX": 1e4, "A0Z": 1e-3, "VE": 1e4},
+    "tolerances": {"EXX": 1e4, "A0Z": 1e4, "VCE": 1e-3},
     "measured_by": "A. Body",
 }
 
@@ -350,7 +350,7 @@ class TestDocument:
         }
         assert {tolerance: row.conformity(tolerance).value for tolerance in expected} == expected
         page = Page(render_report(replace(offline, document=stated())))
-        for words in ("conforms", "does not conform", "VE without table"):
+        for words in ("conforms", "does not conform", "VCE with table, predicted"):
             assert words in page.text
         assert "ISO 14253-1" in " ".join(page.text)
 
