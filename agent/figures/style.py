@@ -105,12 +105,12 @@ _NAMESPACES = 'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org
 
 _NUMBER = r"-?\d+(?:\.\d*)?(?:e-?\d+)?"
 _PAIR = re.compile(rf"({_NUMBER}) ({_NUMBER})")
-_SHAPE = re.compile(r'<defs>\s*<path id="(?P<id>[^"]+)" d="(?P<d>[^"]*)"(?P<style> style="[^"]*")?/>\s*</defs>\s*')
+_SHAPE = re.compile(r'<defs>\s*<path id="(?P<id>[^"]+)" d="(?P<d>[^"]*)"(?: style="(?P<style>[^"]*)")?/>\s*</defs>\s*')
 """Shape of a marker, as matplotlib defines it where it is used first."""
 _USE = re.compile(r'<use xlink:href="#[^"]+" x="(?P<x>[^"]+)" y="(?P<y>[^"]+)"[^>]*/>')
 _RUN = re.compile(
-    r'<use xlink:href="#(?P<id>[^"]+)" x="[^"]+" y="[^"]+"(?P<style> style="[^"]*")?/>\s*'
-    r'(?:<use xlink:href="#(?P=id)" x="[^"]+" y="[^"]+"(?P=style)/>\s*)*'
+    r'<use xlink:href="#(?P<id>[^"]+)" x="[^"]+" y="[^"]+" style="(?P<style>[^"]*)"/>\s*'
+    r'(?:<use xlink:href="#(?P=id)" x="[^"]+" y="[^"]+" style="(?P=style)"/>\s*)*'
 )
 """Markers of one series, one after the other."""
 
@@ -240,7 +240,9 @@ def join_markers(svg: str) -> str:
     def joined(run: re.Match[str]) -> str:
         shape = shapes[run["id"]]
         steps = [(float(use["x"]), float(use["y"])) for use in _USE.finditer(run[0])]
-        return f'<path d="{" ".join(_moved(shape["d"], *step) for step in steps)}"{shape["style"] or run["style"]}/>\n'
+        # the shape has its line, and each reference the filling
+        style = "; ".join(part for part in (run["style"], shape["style"]) if part)
+        return f'<path d="{" ".join(_moved(shape["d"], *step) for step in steps)}" style="{style}"/>\n'
 
     return _SHAPE.sub("", _RUN.sub(joined, svg))
 

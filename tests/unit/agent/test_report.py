@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from agent.figures.style import join_markers
 from agent.language.sentences import as_it_is, without_marks
 from agent.reports.page import (
     EventLine,
@@ -537,6 +538,22 @@ class TestNumbers:
         balls, rms = residuals.rms_per_ball
         assert balls.tolist() == [0, 1]
         assert rms.tolist() == [[3.0, 0.0, 0.0], [0.0, 2.0, 0.0]]
+
+
+class TestMarkers:
+    def test_a_series_becomes_one_path_with_its_line_and_filling(self) -> None:
+        shape = '<defs> <path id="m" d="M 0 -1.5 L 1e-1 2 z" style="stroke: red"/> </defs>'
+        uses = "".join(f'<use xlink:href="#m" x="{x}" y="20" style="fill: blue"/>\n' for x in (10, 11.5))
+        joined = join_markers(f'<g>{shape}{uses}<use xlink:href="#m" x="1" y="2" style="fill: none"/></g>')
+        first = '<path d="M 10 18.5 L 10.1 22 z M 11.5 18.5 L 11.6 22 z" style="fill: blue; stroke: red"/>'
+        assert joined.split("\n") == [
+            f"<g>{first}",
+            '<path d="M 1 0.5 L 1.1 4 z" style="fill: none; stroke: red"/>',
+            "</g>",
+        ]
+
+    def test_a_page_refers_to_no_marker(self, offline_page: str) -> None:
+        assert "<use" not in offline_page
 
 
 class TestWords:
