@@ -40,6 +40,8 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 MAP_COLOURS = "viridis"
 BAND_OPACITY = 0.22
 DOTS_PER_INCH = 150
+REPORT_WIDTH_IN = 8.6
+"""Width of a figure of a report. On A4 paper it is reduced by a sixth, so that its text stays readable."""
 
 PAGE_VARIABLES = {
     INK: "currentColor",
@@ -99,6 +101,18 @@ _STUDY_SETTINGS: dict[Any, Any] = {
     "image.cmap": MAP_COLOURS,
 }
 _NAMESPACES = 'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
+
+
+_NUMBER = r"-?\d+(?:\.\d*)?(?:e-?\d+)?"
+_PAIR = re.compile(rf"({_NUMBER}) ({_NUMBER})")
+_SHAPE = re.compile(r'<defs>\s*<path id="(?P<id>[^"]+)" d="(?P<d>[^"]*)"(?: style="(?P<style>[^"]*)")?/>\s*</defs>\s*')
+"""Shape of a marker, as matplotlib defines it where it is used first."""
+_USE = re.compile(r'<use xlink:href="#[^"]+" x="(?P<x>[^"]+)" y="(?P<y>[^"]+)"[^>]*/>')
+_RUN = re.compile(
+    r'<use xlink:href="#(?P<id>[^"]+)" x="[^"]+" y="[^"]+" style="(?P<style>[^"]*)"/>\s*'
+    r'(?:<use xlink:href="#(?P=id)" x="[^"]+" y="[^"]+" style="(?P=style)"/>\s*)*'
+)
+"""Markers of one series, one after the other."""
 
 
 @dataclass(frozen=True)
@@ -215,11 +229,34 @@ def _svg(figure: Figure) -> str:
     return buffer.getvalue()
 
 
+def join_markers(svg: str) -> str:
+    """Return an SVG of matplotlib in which all markers of a series are one path, and each tick mark is a path.
+
+    Matplotlib refers to the shape of a marker once for each point. A report has thousands of them, and resolving the
+    references takes most of the time of its PDF.
+    """
+    shapes = {found["id"]: found for found in _SHAPE.finditer(svg)}
+
+    def joined(run: re.Match[str]) -> str:
+        shape = shapes[run["id"]]
+        steps = [(float(use["x"]), float(use["y"])) for use in _USE.finditer(run[0])]
+        # the shape has its line, and each reference the filling
+        style = "; ".join(part for part in (run["style"], shape["style"]) if part)
+        return f'<path d="{" ".join(_moved(shape["d"], *step) for step in steps)}" style="{style}"/>\n'
+
+    return _SHAPE.sub("", _RUN.sub(joined, svg))
+
+
+def _moved(path: str, x: float, y: float) -> str:
+    """Return a path of absolute commands, each with pairs of coordinates, moved by x and y."""
+    return _PAIR.sub(lambda pair: f"{float(pair[1]) + x:.6g} {float(pair[2]) + y:.6g}", " ".join(path.split()))
+
+
 def _themed(svg: str, name: str) -> str:
     """Remove file-level metadata, use the page's colours and fonts, and prefix ids to keep them unique on the page."""
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
-    svg = re.sub(r"<!--.*?-->", "", svg, flags=re.DOTALL)
+    svg = join_markers(re.sub(r"<!--.*?-->", "", svg, flags=re.DOTALL))
     svg = re.sub(r'<svg [^>]*?(viewBox="[^"]*")[^>]*>', rf'<svg {_NAMESPACES} \1 data-figure="{name}">', svg, count=1)
     svg = re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{name}-", svg)
     for colour, variable in PAGE_VARIABLES.items():

@@ -12,7 +12,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from agent.figures.style import BAND_OPACITY, BLUE, INK, ORANGE, PURPLE, QUIET, Drawing, Margins, picture
+from agent.figures.style import (
+    BAND_OPACITY,
+    BLUE,
+    INK,
+    ORANGE,
+    PURPLE,
+    QUIET,
+    REPORT_WIDTH_IN,
+    Drawing,
+    Margins,
+    picture,
+)
 from agent.history.trends import Trend
 from twin.monitoring import Drift
 
@@ -34,7 +45,7 @@ def trends_svg(trends: Sequence[Trend]) -> str:
     The colours of the figure follow the theme of the report page.
     """
     rows = -(-len(trends) // _COLUMNS)
-    drawing = Drawing("trends", 10.4, 2.1 * rows + 0.3, Margins(bottom=0.45))
+    drawing = Drawing("trends", REPORT_WIDTH_IN, 2.1 * rows + 0.3, Margins(bottom=0.45))
     with drawing as figure:
         figure.subplots_adjust(wspace=0.2, hspace=0.75)
         _panels(figure, trends, INK)

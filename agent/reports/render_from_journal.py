@@ -18,7 +18,6 @@ from agent.reports.page.pdf import render_pdf
 from agent.reports.page.render import render_report
 from agent.reports.run_report import report_of
 from agent.settings.history import HistorySettings
-from agent.settings.report import ReportSettings
 
 MIN_RUNS = 3
 _MOST_TRENDS = 4
@@ -34,15 +33,11 @@ def render_from_journal(
     """
     record = read_record(directory, run_id)
     data = report_of(record, _trend_figure(directory, record))
-    page = render_report(data, language=language or _language_of(record))
+    page = render_report(data, language=language or data.document.language)
     files: dict[str, str | bytes] = {"report.html": page}
     if pdf:
         files["report.pdf"] = render_pdf(page)
     return files
-
-
-def _language_of(record: RunRecord) -> Language:
-    return ReportSettings.model_validate(record.settings.get("report", {})).language
 
 
 def _trend_figure(directory: Path, record: RunRecord) -> str:

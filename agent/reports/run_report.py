@@ -37,7 +37,7 @@ from agent.reports.page import (
     name_of_positions,
 )
 from agent.reports.page.data import JournalEstimate
-from agent.reports.page.number_format import fixed
+from agent.reports.page.number_format import COVERAGE, fixed
 from agent.reports.page.texts import ENGLISH, Texts
 from agent.results.artefact_calibration import calibration_warnings
 from agent.results.decision_kinds import HELD_OUT, IDENTIFIED, INPUTS, OUTCOME, PROBE
@@ -48,12 +48,14 @@ from agent.results.run_outcome import Decision
 from agent.results.run_requester import BY, requester_of
 from agent.results.run_verdict import RunVerdict, run_figures, verdict_of
 from agent.results.travel_parts import TravelParts
+from agent.settings.report import ReportSettings
 from agent.thermal.thermometer import ThermometerFacts
 from drivers.errors import InputError
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
 from twin.artefact.touch_pattern import RADIUS_PATTERN
 from twin.formats.estimate_file import StoredEstimate, parse_estimate
+from twin.formats.toml_reading import validate_document
 from twin.monitoring.step_power import SmallestStep
 
 TITLES = {"calibrate": "Calibration", "verify": "Verification", "nightly": "Night", "try": "Trial of one ball"}
@@ -86,7 +88,15 @@ def report_of(record: RunRecord, trend: str = "", texts: Texts = ENGLISH) -> Rep
         gates=_gates(record),
         warnings=_warnings(record, found, texts),
         run=_facts(record, inputs, trend),
+        document=report_settings(record),
     )
+
+
+def report_settings(record: RunRecord) -> ReportSettings:
+    """Return the section `[report]` of the settings with which the run was started. Raises InputError if this version
+    cannot read it."""
+    with translated(InputError):
+        return validate_document(dict(record.settings.get("report", {})), "settings in the journal", ReportSettings)
 
 
 def _header(record: RunRecord, found: IdentificationData | None) -> Header:
@@ -137,7 +147,14 @@ def _found(record: RunRecord) -> IdentificationData | None:
         table=TableFacts(**identified["table"]),
         thermometer=ThermometerFacts(**identified["thermometer"]),
         travel=TravelParts.from_record(identified["travel"]),
+        family_prior=_has_family_prior(record),
     )
+
+
+def _has_family_prior(record: RunRecord) -> bool:
+    """Return True if the prior of the estimate was the family of the machine, and not earlier nights."""
+    chosen = record.settings["identification"]
+    return bool(record.kind == "calibrate" and chosen["prior"] and chosen["weights"] == "full")
 
 
 def _volumetric(record: Mapping[str, Any]) -> VolumetricSummary:
@@ -391,7 +408,7 @@ def _possible_changes(found: list[Mapping[str, Any]]) -> str:
 
 def _drift(drift: Mapping[str, Any]) -> str:
     suspects = "; or ".join(
-        f"{one['error']} {one['rate']:+.2g} ± {one['standard_uncertainty']:.1g} {one['unit']} a night "
+        f"{one['error']} {one['rate']:+.2g} ± {COVERAGE * one['standard_uncertainty']:.1g} {one['unit']} a night "
         f"({100.0 * one['probability']:.0f} %)"
         for one in drift["suspects"]
     )

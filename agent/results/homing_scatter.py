@@ -83,8 +83,8 @@ class HomingScatter:
         low, high = self.limits_um[axis]
         sigma = self.sigma_um[axis]
         return (
-            f"1σ {sigma:.2f} µm ({self.confidence:.0%}: {low:.2f} to {high:.2f}), 2σ {2.0 * sigma:.2f} µm, of "
-            f"{self.homings} homings, without the repeatability of the touches, 1σ {self.touches_um[axis]:.2f} µm"
+            f"2σ {2.0 * sigma:.2f} µm ({self.confidence:.0%}: {2.0 * low:.2f} to {2.0 * high:.2f}) of {self.homings} "
+            f"homings, without the repeatability of the touches, 2σ {2.0 * self.touches_um[axis]:.2f} µm"
         )
 
     def as_json(self) -> dict[str, object]:

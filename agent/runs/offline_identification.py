@@ -400,6 +400,7 @@ def _report_data(result: IdentificationResult, request: IdentificationRequest, c
             estimation.thermometer,
             estimation.travel,
             material.balls.numbers,
+            family_prior=options.use_prior and options.weights == "full" and request.carried_over is None,
         ),
         gates=result.gates,
         warnings=(*_gate_notes(result), *_warnings(result, options)),

@@ -1,14 +1,78 @@
-"""Section `[report]` of the settings file."""
+"""Section `[report]` of the settings file: language of the report, head of the document, instruments and tolerances."""
 
 from __future__ import annotations
 
-from typing import Literal
+from datetime import date
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, PositiveFloat, StringConstraints, model_validator
 
 from twin.formats.toml_reading import StrictModel
 
+# printable characters of one line; neither control characters nor marks of the writing direction
+Words = Annotated[
+    str,
+    StringConstraints(
+        strip_whitespace=True,
+        min_length=1,
+        max_length=120,
+        pattern=r"^[^\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff]+$",
+    ),
+]
+Tolerated = Annotated[str, Field(pattern=r"^(E[XYZABC][XYZ]|A0Z|B0Z|C0Y|VE|VCE)$")]
+InstrumentKind = Literal["probe", "sensor", "artefact", "thermometer", "other"]
+
+
+class MachineIdentity(StrictModel):
+    """Machine as its type plate names it."""
+
+    maker: Words | None = None
+    model: Words | None = None
+    serial_number: Words | None = None
+
+
+class Instrument(StrictModel):
+    """Instrument that was used, with its certificate of calibration. `calibrated` is the date of the calibration, and
+    `due` the date of the next one."""
+
+    kind: InstrumentKind
+    name: Words | None = None
+    serial_number: Words | None = None
+    certificate: Words | None = None
+    calibrated: date | None = None
+    due: date | None = None
+
+    @model_validator(mode="after")
+    def _due_after_calibration(self) -> Self:
+        if self.calibrated is not None and self.due is not None and self.due <= self.calibrated:
+            raise ValueError(
+                f"the next calibration is due on {self.due}, not after the calibration of {self.calibrated}"
+            )
+        return self
+
 
 class ReportSettings(StrictModel):
-    """Report of a run. `language` is that of the report that is stored at the end of each run, and of `volcal report`
-    and the page of a plant unless they are asked for another one."""
+    """Report of a run.
+
+    `language` is that of the report that is stored at the end of each run, and of `volcal report` and the page of a
+    plant unless they are asked for another one. The number of the report is `number_prefix` followed by the identity of
+    the run. `customer`, `place`, `operator`, `machine` and `instruments` are shown at the head of the report, and
+    `procedures` beside the standards. `measured_by` and `approved_by` are the names below the lines for signatures.
+    What is not stated is shown as "not stated".
+
+    `tolerances` maps geometric errors of ISO 230-1 (such as EXX or A0Z), the volumetric error VE and the volumetric
+    compensated error VCE to their tolerances in µm or µrad. That of a geometric error is compared with its range over
+    the travel, and that of a squareness with its absolute value.
+    """
 
     language: Literal["en", "de"] = "en"
+    number_prefix: Words | None = None
+    customer: Words | None = None
+    place: Words | None = None
+    operator: Words | None = None
+    measured_by: Words | None = None
+    approved_by: Words | None = None
+    procedures: list[Words] = Field(default=[], max_length=10)
+    machine: MachineIdentity = MachineIdentity()
+    instruments: list[Instrument] = Field(default=[], max_length=30)
+    tolerances: dict[Tolerated, PositiveFloat] = Field(default={})

@@ -64,9 +64,9 @@ class ThermometerFacts:
         if self.standard_uncertainty_k == 0.0:
             return "Temperature of the artefact: exact, as stated."
         return (
-            f"Temperature of the artefact ±{self.standard_uncertainty_k:g} K (k = 1): scale ±{self.scale_um_per_m:.1f} "
-            f"µm/m. It contributes {self.contribution_um:.2f} µm to the predicted VCE (aligned), which would be "
-            f"{self.vce_if_known_um:.2f} µm if the temperature were known."
+            f"Temperature of the artefact ±{2.0 * self.standard_uncertainty_k:g} K (k = 2): scale "
+            f"±{2.0 * self.scale_um_per_m:.1f} µm/m. It contributes {self.contribution_um:.2f} µm to the "
+            f"predicted VCE (aligned), which would be {self.vce_if_known_um:.2f} µm if the temperature were known."
         )
 
     @property
@@ -78,13 +78,14 @@ class ThermometerFacts:
     @property
     def warning(self) -> str | None:
         """Warning if the temperature was not measured, or if nobody stated how well; None otherwise."""
-        doubt = f"{REFERENCE_TEMPERATURE_C:g} °C ± {self.standard_uncertainty_k:g} K (k = 1)"
+        doubt = f"{REFERENCE_TEMPERATURE_C:g} °C ± {2.0 * self.standard_uncertainty_k:g} K (k = 2)"
         if not self.was_read:
             text = f"The temperature of the artefact was not measured: it counts as {doubt}"
             return f"{text}, as stated." if self.stated else f"{text}, as in a workshop without a thermometer."
         if self.stated:
             return None
         return (
-            f"The uncertainty of the thermometer is not stated: {self.standard_uncertainty_k:g} K (k = 1) is assumed. "
-            "State it with temperature.standard_uncertainty_k in the settings or, for files, --temperature-uncertainty."
+            f"The uncertainty of the thermometer is not stated: {2.0 * self.standard_uncertainty_k:g} K (k = 2) is "
+            "assumed. State its standard uncertainty, half of U, with "
+            "temperature.standard_uncertainty_k in the settings or, for files, --temperature-uncertainty."
         )

@@ -234,7 +234,7 @@ class TestRebuilt:
             "Undetermined parameter combinations",
             "Verification by new measurements",
             "az 20°, el 25°",
-            "performed by",
+            "Measured by",
         )
         for one in wanted:
             assert one in text, one

@@ -123,7 +123,7 @@ def test_where_nothing_is_stated_one_kelvin_is_assumed_and_said(tmp_path: Path) 
     vce = np.hypot(thermometer["contribution_um"], thermometer["vce_if_known_um"])
     assert vce == pytest.approx(said["predicted_vce_um"])
     assert desk.after_um() < 1.6 * said["predicted_vce_um"]
-    assert "Temperature of the artefact ±1 K (k = 1): scale ±11.5 µm/m. It contributes" in desk.report()
+    assert "Temperature of the artefact ±2 K (k = 2): scale ±23.0 µm/m. It contributes" in desk.report()
     assert "uncertainty of the thermometer is not stated" in desk.report()
 
 
@@ -133,7 +133,7 @@ def test_the_option_goes_before_the_settings(tmp_path: Path) -> None:
     by_settings = desk.hurry()["thermometer"]
     assert (by_settings["standard_uncertainty_k"], by_settings["stated"]) == (0.2, True)
     by_option = desk.run("--order", "6", "--temperature-uncertainty", "0.5").stdout.replace("\n", " ")
-    assert "±0.5 K (k = 1): scale ±5.8 µm/m" in by_option
+    assert "±1 K (k = 2): scale ±11.5 µm/m" in by_option
     assert "not stated" not in by_option
     assert "not stated" not in desk.report()
     exact = desk.hurry("--temperature-uncertainty", "0")
@@ -155,10 +155,10 @@ def test_a_temperature_that_was_not_read_is_not_20_degrees(tmp_path: Path) -> No
         False,
     )
     assert desk.after_um() < 1.6 * said["predicted_vce_um"]
-    assert "not measured: it counts as 20 °C ± 3 K (k = 1)" in desk.report()
+    assert "not measured: it counts as 20 °C ± 6 K (k = 2)" in desk.report()
     stated = desk.hurry("--temperature-uncertainty", "0.5")["thermometer"]
     assert (stated["standard_uncertainty_k"], stated["stated"], stated["was_read"]) == (0.5, True, False)
-    assert "20 °C ± 0.5 K (k = 1), as stated" in desk.report()
+    assert "20 °C ± 1 K (k = 2), as stated" in desk.report()
 
 
 def test_another_night_without_a_thermometer_has_an_error_of_its_own(tmp_path: Path) -> None:

@@ -136,7 +136,7 @@ def test_a_calibration_is_far_better_than_the_file_and_rests_on_the_length() -> 
     assert found.before.balls == found.scale.balls == (0, END)
     assert found.scale.standard_uncertainty_mm == pytest.approx(CERTIFICATE_MM, rel=0.1)
     assert found.not_improved == ()
-    assert "distance of balls 0 and 10, which was known to 0.8 µm (0.53 ppm, k = 1)" in found.limits[0]
+    assert "distance of balls 0 and 10, which was known to 1.6 µm (1.1 ppm, k = 2)" in found.limits[0]
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -215,7 +215,7 @@ def test_the_calibration_of_a_run_is_an_artefact_file(tmp_path: Path) -> None:
     error = calibrated.balls - rigidly_aligned(bar.true, calibrated.balls)
     assert np.mean(1e3 * np.abs(error) <= np.array(stated["expanded_uncertainty_um"])) > 0.85
     page = (out / "report.html").read_text()
-    assert "Certificate of the artefact by this run" in page
+    assert "Artefact as measured by this run" in page
     assert stated["limits"][0] in page
     # with it, another machine is identified as with a certificate
     machine = foreign_machine(np.random.default_rng(1))

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.figures.style import BAND_OPACITY, BLUE, INK, ORANGE, Drawing
+from agent.figures.style import BAND_OPACITY, BLUE, INK, ORANGE, REPORT_WIDTH_IN, Drawing
 from agent.reports.page.error_curves import ErrorCurve
 from twin.machine.kinematic_chain import AXES
 
@@ -25,7 +25,7 @@ def draw_error_curves(curves: Sequence[ErrorCurve]) -> str:
     """Return an SVG of the 18 geometric error functions (six for each of X, Y and Z). An error that is not in the error
     model gets an empty panel."""
     by_name = {curve.name: curve for curve in curves}
-    drawing = Drawing("error-curves", 10.4, 4.9)
+    drawing = Drawing("error-curves", REPORT_WIDTH_IN, 5.2)
     with drawing as figure:
         figure.subplots_adjust(wspace=0.16, hspace=0.5)
         panels = _panels(figure)
@@ -42,7 +42,7 @@ def draw_error_curves(curves: Sequence[ErrorCurve]) -> str:
 def draw_cross_effect(curves: Sequence[ErrorCurve]) -> str:
     """Return an SVG of the cross-effect, that is, the bending of the column by the weight of the ram, with the ram
     fully extended. The contribution to each error is drawn as a function of the height Z."""
-    drawing = Drawing("cross-effect", 5.6, 1.9)
+    drawing = Drawing("cross-effect", REPORT_WIDTH_IN, 1.9)
     with drawing as figure:
         figure.subplots_adjust(wspace=0.35)
         panels = np.atleast_1d(figure.subplots(1, len(curves)))
@@ -67,7 +67,7 @@ def _panel(panel: Axes, curve: ErrorCurve | None, title: str) -> None:
         panel.text(0.5, 0.6, "not in the model", transform=panel.transAxes, ha="center", fontsize=7)
         return
     colour = BLUE if curve.unit == "µm" else ORANGE
-    low, high = curve.value - 2.0 * curve.sigma, curve.value + 2.0 * curve.sigma
+    low, high = curve.value - curve.expanded_uncertainty, curve.value + curve.expanded_uncertainty
     panel.fill_between(curve.position_mm, low, high, color=colour, alpha=BAND_OPACITY, linewidth=0)
     (line,) = panel.plot(curve.position_mm, curve.value, color=colour)
     line.set_gid(f"curve-{curve.name}")

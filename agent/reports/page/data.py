@@ -17,6 +17,7 @@ from agent.results.facts import ArtefactFacts, ProbeFacts, Quantity, TableFacts,
 from agent.results.gates import Gate
 from agent.results.run_verdict import RunVerdict
 from agent.results.travel_parts import TravelParts
+from agent.settings.report import ReportSettings
 from agent.thermal.thermometer import ThermometerFacts
 from twin.arrays import Array
 from twin.artefact.observations import Observations
@@ -241,7 +242,8 @@ class IdentificationData:
     holds the residuals of the n observations, in the order of the observations. `thermometer` is the effect of the
     artefact's thermometer on the result, and `travel` the volumetric error inside and outside the measured region. Both
     are None if they are not known. `numbers` contains the number of each position in the
-    file of the ball centres; it is empty if they were not read from a file.
+    file of the ball centres; it is empty if they were not read from a file. `family_prior` is False if the prior of the
+    estimate was not the family of the machine, for example because an earlier estimate was carried over.
     """
 
     observations: Observations
@@ -253,6 +255,7 @@ class IdentificationData:
     thermometer: ThermometerFacts | None = None
     travel: TravelParts | None = None
     numbers: tuple[int, ...] = ()
+    family_prior: bool = True
 
     @classmethod
     def of(
@@ -265,9 +268,21 @@ class IdentificationData:
         thermometer: ThermometerFacts | None = None,
         travel: TravelParts | None = None,
         numbers: tuple[int, ...] = (),
+        *,
+        family_prior: bool = True,
     ) -> Self:
-        residuals = estimate.residuals_mm
-        return cls(observations, estimate, residuals, tuple(positions), volumetric, table, thermometer, travel, numbers)
+        return cls(
+            observations,
+            estimate,
+            estimate.residuals_mm,
+            tuple(positions),
+            volumetric,
+            table,
+            thermometer,
+            travel,
+            numbers,
+            family_prior,
+        )
 
 
 @dataclass(frozen=True)
@@ -275,7 +290,8 @@ class ReportData:
     """Complete data of a report.
 
     `tool_offset` (3,) is the vector in mm from the ram's reference point to the stylus centre (tool offset), to which
-    the table and all volumetric errors refer. `identification` is None if the run has no estimate.
+    the table and all volumetric errors refer. `identification` is None if the run has no estimate. `document` is the
+    section of the settings with the head of the document, the instruments and the tolerances.
     """
 
     header: Header
@@ -287,6 +303,7 @@ class ReportData:
     gates: tuple[Gate, ...] = ()
     warnings: tuple[str, ...] = ()
     run: RunFacts = RunFacts()
+    document: ReportSettings = field(default_factory=ReportSettings)
 
 
 def name_of_positions(positions: Sequence[Position]) -> str:

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.reports.page.number_format import COVERAGE
 from twin.arrays import Array
-from twin.machine.error_model import DIRECTIONS, ErrorModel, series_orders
+from twin.machine.error_model import ERROR_MOTIONS, ErrorModel, series_orders
+from twin.machine.kinematic_chain import AXES
 from twin.machine.legendre import legendre_values, normalise_positions
 from twin.units import MICRO_UNITS
 
@@ -20,19 +22,54 @@ SQUARENESSES = ("C0Y", "B0Z", "A0Z")
 @dataclass(frozen=True)
 class ErrorCurve:
     """Error function `value` and its standard uncertainty `sigma` at n axis positions `position_mm`. All three are
-    arrays (n,). `unit` is µm or µrad."""
+    arrays (n,). `covariance` (n, n) is that of `value`, in the square of `unit`, which is µm or µrad."""
 
     name: str
     argument: str
     unit: str
     position_mm: Array
     value: Array
-    sigma: Array
+    covariance: Array
+
+    @property
+    def sigma(self) -> Array:
+        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
+
+    @property
+    def expanded_uncertainty(self) -> Array:
+        """Expanded uncertainty (n,) of `value`, k = 2."""
+        return COVERAGE * self.sigma
 
     @property
     def reach(self) -> float:
-        """Largest absolute value in the band of ±2 standard uncertainties (2σ) about the curve, in `unit`."""
-        return float(np.max(np.abs(self.value) + 2.0 * self.sigma))
+        """Largest absolute value in the band of the expanded uncertainty about the curve, in `unit`."""
+        return float(np.max(np.abs(self.value) + self.expanded_uncertainty))
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Range R of the curve over the travel, as ISO 230-1 evaluates an error motion, and its expanded uncertainty U
+        (k = 2), both in `unit`.
+
+        R is the largest difference between two points. U is that of the pair of points for which the sum of difference
+        and uncertainty is largest, so that no pair is likely to differ by more than R + U. It does not vanish for a
+        curve that is flat only because nothing determines it.
+        """
+        difference, doubt = self._pairs
+        return float(difference.max()), float(doubt[self.widest_pair])
+
+    @property
+    def widest_pair(self) -> tuple[int, int]:
+        """Indices of the two points whose difference and its expanded uncertainty have the largest sum."""
+        difference, doubt = self._pairs
+        first, second = np.unravel_index(int(np.argmax(difference + doubt)), difference.shape)
+        return int(first), int(second)
+
+    @property
+    def _pairs(self) -> tuple[Array, Array]:
+        """Absolute difference of each pair of points, and its expanded uncertainty (k = 2), both (n, n)."""
+        variance = np.diagonal(self.covariance)
+        squares = np.add.outer(variance, variance) - 2.0 * self.covariance
+        return np.abs(np.subtract.outer(self.value, self.value)), COVERAGE * np.sqrt(np.maximum(squares, 0.0))
 
 
 def geometric_error_curves(model: ErrorModel, parameters: Array, covariance: Array) -> tuple[ErrorCurve, ...]:
@@ -40,28 +77,49 @@ def geometric_error_curves(model: ErrorModel, parameters: Array, covariance: Arr
 
     Error motions that have no coefficient in the error model are left out.
     """
-    curves = []
-    for axis, limits in zip("XYZ", model.ranges_mm, strict=True):
-        place = np.linspace(*limits, SAMPLES)
-        for direction in DIRECTIONS:
-            error = f"E{direction}{axis}"
-            orders = series_orders(error, model.orders[error])
-            if len(orders):
-                rows = legendre_values(normalise_positions(place, limits), orders[-1])[orders.start :].T
-                block = model.block[error]
-                unit = "rad" if direction in "ABC" else "mm"
-                curves.append(
-                    _curve(
-                        error,
-                        axis,
-                        unit,
-                        place,
-                        rows=rows,
-                        coefficients=parameters[block],
-                        covariance=covariance[block, block],
-                    )
-                )
-    return tuple(curves)
+    curves = (error_curve(model, parameters, covariance, name) for name in ERROR_MOTIONS)
+    return tuple(curve for curve in curves if curve is not None)
+
+
+def error_curve(model: ErrorModel, parameters: Array, covariance: Array, name: str) -> ErrorCurve | None:
+    """Return the curve of the error motion `name`, or None if it has no coefficient in the error model."""
+    rows, block = _series_rows(model, name), model.block[name]
+    if rows is None:
+        return None
+    return _curve(
+        name,
+        name[2],
+        "rad" if name[1] in "ABC" else "mm",
+        _positions(model, name[2]),
+        rows=rows,
+        coefficients=parameters[block],
+        covariance=covariance[block, block],
+    )
+
+
+def range_gradient(model: ErrorModel, parameters: Array, covariance: Array, name: str) -> Array | None:
+    """Return the derivatives (p,) of the difference of the two points of `ErrorCurve.widest_pair` of the error motion
+    `name` with respect to the p parameters; None if it has no coefficient in the error model."""
+    rows, curve = _series_rows(model, name), error_curve(model, parameters, covariance, name)
+    if rows is None or curve is None:
+        return None
+    first, second = curve.widest_pair
+    gradient = np.zeros(model.size)
+    gradient[model.block[name]] = rows[first] - rows[second]
+    return gradient
+
+
+def _positions(model: ErrorModel, axis: str) -> Array:
+    return np.linspace(*model.ranges_mm[AXES.index(axis)], SAMPLES)
+
+
+def _series_rows(model: ErrorModel, name: str) -> Array | None:
+    """Return the values (n, k) of the k Legendre polynomials of an error motion at the n points of its curve."""
+    orders = series_orders(name, model.orders[name])
+    if not len(orders):
+        return None
+    limits = model.ranges_mm[AXES.index(name[2])]
+    return legendre_values(normalise_positions(_positions(model, name[2]), limits), orders[-1])[orders.start :].T
 
 
 def cross_effect_curves(model: ErrorModel, parameters: Array, covariance: Array) -> tuple[ErrorCurve, ...]:
@@ -86,9 +144,9 @@ def cross_effect_curves(model: ErrorModel, parameters: Array, covariance: Array)
 def _curve(
     name: str, argument: str, unit: str, place: Array, *, rows: Array, coefficients: Array, covariance: Array
 ) -> ErrorCurve:
-    """Return the curve of `rows` (n, k) weighted by `coefficients` (k,) with its standard uncertainty."""
+    """Return the curve of `rows` (n, k) weighted by `coefficients` (k,) with its covariance."""
     micro, scale = MICRO_UNITS[unit]
-    # variance of each point by propagation of the coefficients' covariance: diag(R C Rᵀ)
-    variance = np.einsum("nk,kl,nl->n", rows, covariance, rows)
-    sigma = scale * np.sqrt(np.maximum(variance, 0.0))
-    return ErrorCurve(name, argument, micro, place, scale * (rows @ coefficients), sigma)
+    # propagation of the coefficients' covariance: R C Rᵀ
+    return ErrorCurve(
+        name, argument, micro, place, scale * (rows @ coefficients), scale**2 * rows @ covariance @ rows.T
+    )

@@ -11,7 +11,7 @@ from agent.results.run_verdict import VERDICTS
 
 _STYLE: Final = re.compile(r"(<style[^>]*>.*?</style>)", re.DOTALL)
 _TEXT: Final = re.compile(r">([^<]*\w[^<]*)<")
-_ATTRIBUTE: Final = re.compile(r'(?<= )(aria-label|title|data-page|data-of)="([^"]*)"')
+_ATTRIBUTE: Final = re.compile(r'(?<= )(aria-label|title|data-page|data-of|data-head)="([^"]*)"')
 _SHARE: Final = re.compile(r"^(\d+) of (\d+)$")
 _VERDICTS: Final = {words["en"]: words["de"] for verdict in VERDICTS for words in (verdict.word, verdict.sentence)}
 

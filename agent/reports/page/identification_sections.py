@@ -1,5 +1,5 @@
-"""Sections of the report about the identification of the machine's errors: summary, squareness, residuals, fit, null
-directions, compensation table and parameters."""
+"""Sections of the report about the identification of the machine's errors: summary, residuals, fit, null directions,
+compensation table and parameters."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from agent.reports.page.number_format import COVERAGE, Rows, Table, fixed, micro
 from agent.reports.page.texts import Texts
 from agent.results.facts import Quantity
 from twin.artefact.artefact_calibration import ArtefactCalibration
-from twin.machine.error_model import SQUARENESS
 from twin.units import UM_PER_MM
 
 
@@ -49,17 +48,6 @@ def travel_table(identification: IdentificationData, t: Texts) -> Table | None:
 def _with_limits(value_um: float, limits_um: tuple[float, float]) -> str:
     lower, upper = (number(limit, 3) for limit in limits_um)
     return f"{number(value_um, 3)} µm ({lower} to {upper})"
-
-
-def squareness(identification: IdentificationData) -> Table:
-    estimate = identification.estimate
-    places = [estimate.model.index(name) for name in SQUARENESS]
-    sigma = estimate.standard_uncertainty
-    rows = tuple(
-        (name, fixed(1e6 * estimate.parameters[i], 2), fixed(COVERAGE * 1e6 * sigma[i], 2))
-        for name, i in zip(SQUARENESS, places, strict=True)
-    )
-    return Table(("error", "µrad", "±2σ"), rows, ("µrad", "±2σ"))
 
 
 def residual_note(identification: IdentificationData) -> str:
@@ -157,12 +145,12 @@ def table_rows(identification: IdentificationData) -> Rows | None:
 
 def parameters(identification: IdentificationData) -> list[list[tuple[str, str, str, str]]]:
     """Return the parameters of the error model in three columns of rows. Each row contains the name, the value, the
-    standard uncertainty and the unit of a parameter."""
+    expanded uncertainty (k = 2) and the unit of a parameter."""
     estimate = identification.estimate
     sigma = estimate.standard_uncertainty
     rows = []
     for parameter, value, spread in zip(estimate.model.parameters, estimate.parameters, sigma, strict=True):
         scale, unit = (1e3, "µm") if parameter.unit == "mm" else (1e6, "µrad")
-        rows.append((parameter.name, fixed(scale * value, 2), fixed(scale * spread, 2), unit))
+        rows.append((parameter.name, fixed(scale * value, 2), fixed(COVERAGE * scale * spread, 2), unit))
     height = -(-len(rows) // 3)
     return [rows[start : start + height] for start in range(0, len(rows), height)]

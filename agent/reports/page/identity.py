@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.language.sentences import as_it_is
 from agent.reports.page.data import IdentificationData, ReportData
-from agent.reports.page.number_format import Rows, fixed, micrometres, number, plural, point
+from agent.reports.page.number_format import COVERAGE, Rows, fixed, micrometres, number, plural, point
 from agent.reports.page.texts import Texts
 from agent.results.facts import Quantity, unchecked_text
 from twin.artefact.observations import Observations
@@ -85,7 +85,6 @@ def identity(data: ReportData) -> Rows:
     rows += [
         ("Tool offset", f"{data.tool_name} {point(data.tool_offset)}"),
         ("Artefact", f"{as_it_is(artefact.name)}, {artefact.balls} balls of {number(artefact.ball_diameter_mm, 5)} mm"),
-        ("Certificate", artefact.certificate),
     ]
     if identification is not None:
         rows += _certificate_check(identification.estimate.certificate_check)
@@ -112,10 +111,12 @@ def _certificate_check(checks: Sequence[BallCheck]) -> Rows:
     certified = sorted((check for check in checks if check.certified), key=lambda check: -check.contradiction)
     rows = []
     if certified:
+        # |E_n| of ISO 13528: difference over its expanded uncertainty
         worst = ", ".join(
-            f"ball {check.ball}: {fixed(check.contradiction, 1)} along {check.direction}" for check in certified[:3]
+            f"ball {check.ball}: {fixed(check.contradiction / COVERAGE, 1)} along {check.direction}"
+            for check in certified[:3]
         )
-        rows.append(("Largest contradictions to the certificate", f"{worst} (standard deviations, artefact frame)"))
+        rows.append(("Largest contradictions to the certificate", f"{worst} (|E_n|, k = 2, artefact frame)"))
     for check in checks:
         if not check.certified:
             error = ", ".join(fixed(UM_PER_MM * value, 1) for value in check.apparent_error_mm)

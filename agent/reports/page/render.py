@@ -10,7 +10,8 @@ from markupsafe import Markup
 
 from agent.html_templates import html_template
 from agent.language.sentences import Language
-from agent.reports.page import identification_sections, run_sections
+from agent.reports.page import document_head, error_table, identification_sections, run_sections
+from agent.reports.page.budget_table import budget_table
 from agent.reports.page.data import IdentificationData, ReportData
 from agent.reports.page.figures import report_figures
 from agent.reports.page.german import page_in_language
@@ -59,8 +60,13 @@ def page_values(data: ReportData, t: Texts) -> dict[str, Any]:
         "sentence": "" if verdict is None else verdict.sentence["en"],
         "reason": data.run.reason,
         "tiles": tiles(data, t),
+        "number": document_head.report_number(data),
+        "head": document_head.document_head(data, t),
+        "instruments": document_head.instruments(data, t),
+        "method": document_head.method(data, t),
+        "standards": document_head.standards(data, t),
         "identity": identity(data),
-        "warnings": data.warnings,
+        "warnings": (*document_head.calibration_notes(data, t), *data.warnings),
         "verification": run_sections.verification(proof, t),
         "night": run_sections.night(night, t),
         "probe": data.run.probe.rows if data.run.probe else (),
@@ -69,7 +75,7 @@ def page_values(data: ReportData, t: Texts) -> dict[str, Any]:
         "consents": run_sections.consents(data, t),
         "inputs": run_sections.inputs(data.run.provenance, t),
         "events": run_sections.events(data, t),
-        "signatures": run_sections.signatures(t),
+        "signatures": document_head.signatures(data.document, t),
         "identification": None if data.identification is None else _identification(data, data.identification, t),
     }
 
@@ -79,8 +85,11 @@ def _identification(data: ReportData, identification: IdentificationData, t: Tex
     return {
         "summary": identification_sections.summary_table(data, identification, t),
         "travel": identification_sections.travel_table(identification, t),
+        "limits": error_table.volumetric_conformity(identification, data.document.tolerances, t),
+        "errors": error_table.error_tables(identification, data.document.tolerances, t),
+        "limited": bool(data.document.tolerances),
+        "budget": budget_table(identification, np.asarray(data.tool_offset), t),
         "validity": validity(data, identification),
-        "squareness": identification_sections.squareness(identification),
         "residual_note": identification_sections.residual_note(identification),
         "rejected": identification_sections.rejected(identification),
         "fit": identification_sections.fit(identification),

@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from agent.figures.style import BLUE, GREEN, INK, ORANGE, Drawing
+from agent.figures.style import BLUE, GREEN, INK, ORANGE, REPORT_WIDTH_IN, Drawing
 from twin.arrays import Array
 
 Indices = NDArray[np.int64]
@@ -47,7 +47,7 @@ class BallResiduals:
 def draw_by_position(residuals: BallResiduals) -> str:
     """Return an SVG of the residuals over the positions. The balls of a position are drawn side by side, and balls
     rejected as outliers are circled."""
-    drawing = Drawing("residuals-by-position", 10.4, 2.9)
+    drawing = Drawing("residuals-by-position", REPORT_WIDTH_IN, 2.9)
     with drawing as figure:
         panel = figure.subplots()
         place = residuals.position + _spread(residuals.ball)
@@ -58,7 +58,9 @@ def draw_by_position(residuals: BallResiduals) -> str:
         panel.set_xlim(-0.6, float(residuals.position.max()) + 0.6)
         panel.set_xlabel("position, counted from 0 (its balls from left to right)")
         panel.set_ylabel("residual / µm")
-        panel.legend(ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, handletextpad=0.2)
+        panel.legend(
+            ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, handletextpad=0.2, markerscale=2.0
+        )
         panel.grid(visible=False, axis="x")
     return drawing.svg()
 
@@ -66,7 +68,7 @@ def draw_by_position(residuals: BallResiduals) -> str:
 def draw_distribution(residuals: BallResiduals) -> str:
     """Return an SVG with two panels: the rms residual of each ball, and a normal probability plot of the standardised
     residuals."""
-    drawing = Drawing("residual-distribution", 10.4, 2.7)
+    drawing = Drawing("residual-distribution", REPORT_WIDTH_IN, 2.7)
     with drawing as figure:
         figure.subplots_adjust(wspace=0.13)
         left, right = figure.subplots(1, 2)
@@ -111,7 +113,7 @@ def _per_ball(panel: Axes, residuals: BallResiduals) -> None:
     panel.set_ylim(bottom=0.0)
     panel.set_xlabel("ball")
     panel.set_ylabel("rms residual / µm")
-    panel.set_title("rms per ball over all positions", loc="left")
+    panel.set_title("rms per ball", loc="left")
     panel.xaxis.set_major_locator(MaxNLocator(integer=True))
     panel.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, handletextpad=0.2)
 
@@ -123,6 +125,6 @@ def _normal_plot(panel: Axes, residuals: BallResiduals) -> None:
     panel.plot([-reach, reach], [-reach, reach], color=INK, linewidth=0.8, label="normal, as assumed")
     panel.plot(expected, ordered, "o", color=BLUE, markersize=2.4, markeredgewidth=0, label="measured")
     panel.set_xlabel("expected standard normal quantile")
-    panel.set_ylabel("residual / σ")
+    panel.set_ylabel("standardised residual")
     panel.set_title("Normal probability plot", loc="left")
     panel.legend(loc="upper left")

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from agent.figures.style import BLUE, GREEN, INK, ORANGE, PURPLE, Drawing, Margins
+from agent.figures.style import BLUE, GREEN, INK, ORANGE, PURPLE, REPORT_WIDTH_IN, Drawing, Margins
 from agent.reports.page.data import TemperatureTrace, VerifiedPosition
 
 MAX_UPRIGHT = 8
@@ -18,7 +18,7 @@ SENSOR_LOOK = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (PURPLE, ":"))
 def draw_temperatures(traces: Sequence[TemperatureTrace], drifts_um: Sequence[float] = ()) -> str:
     """Return an SVG of the temperatures over time. If `drifts_um` is not empty, the SVG also shows the displacement of
     the first ball of each position between its two measurements."""
-    drawing = Drawing("temperatures", 10.4, 2.2)
+    drawing = Drawing("temperatures", REPORT_WIDTH_IN, 2.2)
     with drawing as figure:
         if len(drifts_um):
             panel, beside = figure.subplots(1, 2, gridspec_kw={"width_ratios": [3, 2]})
@@ -39,7 +39,7 @@ def draw_temperatures(traces: Sequence[TemperatureTrace], drifts_um: Sequence[fl
 
 def draw_position_temperatures(position: np.ndarray, temperature_c: np.ndarray) -> str:
     """Return an SVG of the artefact's temperature at each ball, for measurements that have no time stamps."""
-    drawing = Drawing("temperatures", 10.4, 1.9)
+    drawing = Drawing("temperatures", REPORT_WIDTH_IN, 1.9)
     with drawing as figure:
         panel = figure.subplots()
         panel.plot(position, temperature_c, "o", color=BLUE, markersize=2.6, markeredgewidth=0)
@@ -53,7 +53,7 @@ def draw_position_temperatures(position: np.ndarray, temperature_c: np.ndarray) 
 def draw_verification(positions: Sequence[VerifiedPosition]) -> str:
     """Return an SVG with three values for each held-out position: the rms residual before and after activation of the
     new compensation table, and twice the predicted rms residual."""
-    drawing = Drawing("verification", 10.4, 2.6, Margins(bottom=0.72, left=0.7))
+    drawing = Drawing("verification", REPORT_WIDTH_IN, 2.6, Margins(bottom=0.72, left=0.7))
     with drawing as figure:
         panel = figure.subplots()
         place = np.arange(len(positions), dtype=float)
@@ -62,7 +62,7 @@ def draw_verification(positions: Sequence[VerifiedPosition]) -> str:
             panel.plot(*zip(*bare, strict=True), "s", color=ORANGE, markersize=5, label="before")
         panel.plot(place, [item.after_um for item in positions], "o", color=BLUE, markersize=5, label="after")
         limits = [2.0 * item.predicted_um for item in positions]
-        panel.plot(place, limits, "_", color=INK, markersize=14, label="2σ of the prediction")
+        panel.plot(place, limits, "_", color=INK, markersize=14, label="limit")
         many = len(positions) > MAX_UPRIGHT
         labels = [item.label if many else item.label.replace(", ", "\n", 1) for item in positions]
         panel.set_xticks(place, labels, rotation=25 if many else 0, ha="right" if many else "center")

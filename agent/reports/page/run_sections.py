@@ -1,5 +1,5 @@
-"""Sections of the report about a run on a machine: verification, nightly run, gates, questions to the operator, inputs,
-events and signatures."""
+"""Sections of the report about a run on a machine: verification, nightly run, gates, questions to the operator, inputs
+and events."""
 
 from __future__ import annotations
 
@@ -87,8 +87,3 @@ def events(data: ReportData, t: Texts) -> Table | None:
         return None
     rows = tuple((event.timestamp.replace("T", " ")[:19], event.kind, event.text) for event in data.run.events)
     return Table((t["time"], t["kind"], t["event"]), rows, code=(t["time"],))
-
-
-def signatures(t: Texts) -> Table:
-    rows = tuple((t[name], "", "", "") for name in ("performed_by", "checked_by", "released_by"))
-    return Table((t["role"], t["name"], t["place_date"], t["signature"]), rows)

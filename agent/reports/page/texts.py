@@ -16,23 +16,76 @@ ENGLISH: Texts = {
     "note": "Notes",
     "page": "page",
     "of": "of",
+    # head of the document
+    "report": "Report",
+    "report_number": "Report number",
+    "customer": "Customer",
+    "machine_maker": "Machine, maker",
+    "machine_model": "Machine, model",
+    "machine_serial": "Machine, serial number",
+    "place": "Place",
+    "operator": "Operator",
+    "not_stated": "not stated",
+    "instrument": "instrument",
+    "instrument_probe": "Probe",
+    "instrument_sensor": "Sensor",
+    "instrument_artefact": "Artefact",
+    "instrument_thermometer": "Thermometer",
+    "instrument_other": "Instrument",
+    "serial_number": "serial number",
+    "certificate": "certificate",
+    "calibrated": "calibrated",
+    "due": "next due",
+    "calibration_overdue": (
+        "{instrument} ({said}): the calibration was due on {due}, before this measurement of {measured}."
+    ),
+    "calibrated_later": "{instrument} ({said}): the calibration of {day} is later than this measurement of {measured}.",
+    "convention": (
+        "All uncertainties in this report are expanded uncertainties U with the coverage factor k = 2, for a coverage "
+        "probability of about 95 %. Where a distribution is not symmetrical, its 95 % limits stand instead. A "
+        "repeatability is twice a standard deviation. An rms is a size, not an uncertainty."
+    ),
+    # method and standards
+    "method": "Method and standards",
+    "method_measured": (
+        "The centres of the balls of a calibrated artefact were measured with the touch-trigger probe of the machine "
+        "in several positions of the artefact, each centre from several touches."
+    ),
+    "method_identified": (
+        "The geometric errors were identified from all centres together: least squares with the covariances of "
+        "centres, certificate and temperature. The pose of the artefact in each position is unknown. The known "
+        "spread of machines of this kind (machine family) determines what the positions do not."
+    ),
+    "method_verified": (
+        "The new table was then proved by measurements at positions that the estimate does not use, before and after "
+        "its activation."
+    ),
+    "standard_names": "ISO 230-1: names and signs of the geometric errors",
+    "standard_compensation": "ISO/TR 16907: numerical compensation, volumetric error",
+    "standard_probe": "ISO 230-10: checks of the probe on the machine",
+    "standard_temperature": "ISO 1: reference temperature of 20 °C",
+    "standard_uncertainty": "JCGM 100 (GUM): expression of uncertainty",
+    "standard_decision": "ISO 14253-1: decision rule for the tolerances",
+    "not_an_acceptance_test": "This is not an acceptance test after ISO 230-2, ISO 230-4 or ISO 230-6.",
     # headings
+    "instruments": "Instruments",
+    "map_pair": "Error map, without and with the table",
+    "budget": "Budget of uncertainty",
+    "run": "The run",
     "summary": "Before and after",
     "validity": "Validity of the result",
     "verification": "Verification by new measurements",
     "night": "Result of the night",
     "trend": "Trend",
     "errors": "The 21 geometric errors",
-    "squareness": "Squareness",
     "cross": "Cross-effect of ram and column",
-    "map": "Error map of the workspace",
-    "uncertainty_map": "Predicted error after compensation",
+    "map": "Error maps at three heights",
     "residuals": "Residuals at the balls",
     "rejected": "Rejected balls",
     "temperatures": "Temperatures",
     "probe": "Probe and stylus",
     "fit": "Fit",
-    "calibration": "Certificate of the artefact by this run",
+    "calibration": "Artefact as measured by this run",
     "null_space": "Undetermined parameter combinations",
     "gates": "Gates and decisions",
     "consents": "Questions to the operator",
@@ -55,18 +108,18 @@ ENGLISH: Texts = {
     "tile_ve_before": "VCE after the last accepted night",
     # captions and notes
     "calibration_note": (
-        "Ball centres at the reference temperature, estimated together with the errors of the machine, and their "
-        "expanded uncertainties, k = 2. artefact.toml and artefact-covariance.csv beside this report hold them with "
-        "all correlations."
+        "Ball centres at the reference temperature, estimated together with the errors of the machine, with U (k = "
+        "2). This is not a certificate of calibration. artefact.toml and artefact-covariance.csv beside this report "
+        "hold them with all correlations."
     ),
     "summary_note": (
         "The volumetric error (VE) is the rms length of the deviation of the tool point over a regular grid of the"
         " whole workspace. Aligned: the best-fit rigid motion of the workspace is removed; a free artefact cannot "
-        "determine it, and it is not an error of the machine. Uncertainties are expanded, k = 2 (about 95 %)."
+        "determine it, and it is not an error of the machine."
     ),
     "verification_note": (
         "Held-out positions, measured before and again with the new table active, and not used for the estimate. "
-        "The line is twice the rms expected from estimate, misfit, certificate and touch repeatability."
+        "The line is the limit, twice the rms expected from estimate, misfit, certificate and touch repeatability."
     ),
     "night_note": "Expected VCE with the active table, rigidly aligned. Reference: run {since}.",
     "trend_note": (
@@ -74,27 +127,65 @@ ENGLISH: Texts = {
         " regression with its 95 % band, separate sections at steps. Dashed: tolerance."
     ),
     "curves_note": (
-        "Errors of the machine without table, with ±2σ bands. Rows: axes X, Y, Z. Columns: errors of ISO 230-1, "
-        "displacements along X, Y, Z in µm and rotations about X, Y, Z in µrad. A wide band means that the "
+        "Errors of the machine without table, with bands of ±U (k = 2). Rows: axes X, Y, Z. Columns: errors of ISO "
+        "230-1, displacements along X, Y, Z in µm and rotations about X, Y, Z in µrad. A wide band means that the "
         "measured positions hardly determine this function; it then follows the machine family."
     ),
     "squareness_note": (
-        "Right-handed rotation of the direction of travel of the axis in the last letter about the axis of the "
-        "first letter."
+        "Machine without table. Size: range of the error over the travel (largest difference between two points; a "
+        "straightness relative to a straight line), or the value of a squareness (right-handed rotation of the "
+        "direction of travel of the axis in the last letter about the axis of the first letter). U: k = 2."
     ),
     "cross_note": "Added to EYZ and EAZ at full overhang of Y, over the height Z.",
     "travel_note": (
         "VE estimated and VCE predicted, aligned over the whole travel, with 95 % limits. Outside the measured region "
         "no ball was measured: there the values rest on the machine family and on the form of the error model."
     ),
-    "map_note": (
-        "Machine without table as identified: length of the deviation of the tool point, rigid motion removed. "
-        "Contour lines at equal intervals."
+    "map_pair_note": (
+        "Expected error of the tool point (root of its expected square, rigid motion removed) at mid-height. Without "
+        "table: the identified error and what remains unknown. With table: what remains unknown. Dots: measured balls "
+        "nearest to this height."
     ),
-    "uncertainty_map_note": (
-        "Standard deviation of the error that remains after compensation of the estimate (VCE by location). The "
-        "colour scale differs from that above. Dots: measured balls nearest to each plane."
+    "map_note": "As on the summary, at the lower end, the middle and the upper end of the Z travel, on one scale.",
+    "error": "error",
+    "meaning": "meaning",
+    "size": "size",
+    "expanded": "U",
+    "tolerance": "tolerance",
+    "conformity": "statement",
+    "conforms": "conforms",
+    "does_not_conform": "does not conform",
+    "undecided": "neither proven",
+    "tolerated_ve": "VE without table",
+    "tolerated_vce": "VCE with table, predicted",
+    "value_um": "value / µm",
+    "lower": "lower limit / µm",
+    "upper": "upper limit / µm",
+    "limits": "Tolerances of the volumetric error",
+    "decision_rule": (
+        "Decision rule after ISO 14253-1 with a guard band of U (k = 2), or of the 95 % limits: it conforms if its "
+        "size and U together are within the tolerance, and does not conform if its size less U is beyond it. In "
+        "between, neither is proven."
     ),
+    "budget_note": (
+        "VCE: rms error that each influence leaves after compensation. Other columns: contribution to U (k = 2) of "
+        "the VE without table, to first order, of the ranges of the positioning errors, and of the squarenesses. The "
+        "squares of a column add up. Temperature, expansion, certificate and sag are what would vanish if they were "
+        "known, in this order; the stated thermometer, certificate and artefact file determine them."
+    ),
+    "influence": "influence",
+    "budget_vce": "VCE / µm",
+    "budget_ve": "U(VE) / µm",
+    "combined": "combined",
+    "influence centres": "ball centres (touches, drift within the run)",
+    "influence centres and prior": "ball centres and earlier knowledge",
+    "influence certificate": "certificate of the artefact",
+    "influence temperature": "temperature of the artefact",
+    "influence expansion": "expansion coefficient of the artefact",
+    "influence sag": "sag of the artefact",
+    "influence undetermined": "errors the positions do not determine",
+    "influence form": "errors found that a table of these 21 errors cannot express",
+    "influence short waves": "short waves along the axes",
     "distribution_note": (
         "Left: a ball that stands out over all positions indicates a wrong calibrated value or dirt. Right: points"
         " on the line mean that the noise is as assumed (allowing for the degrees of freedom of the fit); curved "
@@ -106,7 +197,9 @@ ENGLISH: Texts = {
         "stylus are the lobes of a probe with a three-point seat. Lines, if any, are the pretravel map subtracted "
         "from every touch."
     ),
-    "parameters_note": "Legendre coefficients on the axis ranges normalised to [-1, 1]; σ is the standard uncertainty.",
+    "parameters_note": (
+        "Legendre coefficients on the axis ranges normalised to [-1, 1]; U is the expanded uncertainty (k = 2)."
+    ),
     "inputs_note": "SHA-256 of the files at the start of the run.",
     "no_estimate": (
         "This run has no estimate. Its measurements are stored in the journal. The table that "
@@ -138,12 +231,9 @@ ENGLISH: Texts = {
     "minute": "minute",
     "asked": "question",
     "answer": "answer",
-    "role": "role",
-    "performed_by": "performed by",
-    "checked_by": "checked by",
-    "released_by": "released by",
-    "place_date": "place, date",
-    "signature": "signature",
+    "measured_by": "Measured by",
+    "approved_by": "Approved by",
+    "signature_line": "place, date, signature",
     # rows
     "ve_aligned": "VE without table, VCE with table; aligned",
     "travel": "part of the travel",

@@ -74,4 +74,4 @@ def test_a_scatter_is_read_back_from_the_journal_as_it_was_written() -> None:
     assert HomingScatter.from_record(SCATTER.as_json()) == SCATTER
     (name, text), *_ = SCATTER.rows
     assert name == "Homing of X"
-    assert "1σ 3.00 µm (95%: 1.80 to 8.60), 2σ 6.00 µm, of 5 homings" in text
+    assert "2σ 6.00 µm (95%: 3.60 to 17.20) of 5 homings" in text

@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from typing import Any
 
 import numpy as np
 import pytest
 
-from agent.language.sentences import as_it_is
+from agent.figures.style import join_markers
+from agent.language.sentences import as_it_is, without_marks
 from agent.reports.page import (
     EventLine,
     Header,
@@ -20,28 +22,40 @@ from agent.reports.page import (
     VerificationFacts,
     VerifiedPosition,
 )
+from agent.reports.page.budget_table import budget_table
 from agent.reports.page.data import name_of_positions
-from agent.reports.page.error_curves import cross_effect_curves, geometric_error_curves
+from agent.reports.page.document_head import calibration_notes, document_head, instruments
+from agent.reports.page.error_curves import cross_effect_curves, error_curve, geometric_error_curves
+from agent.reports.page.error_table import ErrorRow, error_rows
 from agent.reports.page.identity import validity
 from agent.reports.page.number_format import fixed, micrometres, number
 from agent.reports.page.render import render_report
 from agent.reports.page.residual_figures import BallResiduals
+from agent.reports.page.texts import ENGLISH
 from agent.reports.page.workspace_maps import workspace_maps
 from agent.results.estimation import volumetric_summary
 from agent.results.facts import ArtefactFacts, Quantity, TableFacts, triple
 from agent.results.gates import Gate
+from agent.settings.report import ReportSettings
 from twin.artefact.artefact import ball_bar
 from twin.artefact.mount_geometry import MountGeometry
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position, mount_pose, parse_position_set
 from twin.compensation.table import build_table, regular_nodes
-from twin.identification import Estimate, Options, identify, predicted_vce
+from twin.errors import FormatError
+from twin.formats.toml_reading import validate_document
+from twin.identification import Estimate, Misfit, Options, identify, predicted_vce
+from twin.identification.normal import PriorPrecision
+from twin.identification.predicted import field_forms
+from twin.identification.series_prior import SeriesPrior
 from twin.machine.anchor import Anchor
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import exact_deviation
 from twin.machine.kinematic_chain import parse_chain
 from twin.machine.machine_population import family_from_amplitudes
 from twin.machine.volumetric import align_rigidly, evaluation_grid
+from twin.uncertainty.posterior_budget import posterior_budget
+from twin.uncertainty.thermometer_effect import thermometer_effect
 
 RANGES = ((0.0, 1000.0), (0.0, 600.0), (0.0, 500.0))
 MODEL = ErrorModel.uniform(parse_chain("tool-Y-Z-X-bed-workpiece"), RANGES, order=3)
@@ -270,6 +284,158 @@ class TestRunSections:
         assert f"station {place.station}, azimuth {place.azimuth_deg:g}°, elevation {place.elevation_deg:g}°" in text
 
 
+STATED: dict[str, Any] = {
+    "number_prefix": "VC-",
+    "customer": "Prior & <Sons>",
+    "machine": {"maker": "Maker", "model": "M 400", "serial_number": "17"},
+    "instruments": [
+        {"kind": "thermometer", "name": "Night", "certificate": "K-1", "calibrated": "2025-01-31", "due": "2026-01-31"},
+        {"kind": "sensor", "serial_number": "S 2", "calibrated": "2026-03-02"},
+        {"kind": "probe", "calibrated": "2026-01-01", "due": "2026-03-01"},
+    ],
+    "tolerances": {"EXX": 1e4, "A0Z": 1e4, "VCE": 1e-3},
+    "measured_by": "A. Body",
+}
+
+
+def stated(**changes: Any) -> ReportSettings:
+    return validate_document(STATED | changes, "settings", ReportSettings)
+
+
+class TestDocument:
+    def test_what_nobody_has_stated_is_not_stated(self, offline: ReportData) -> None:
+        head = dict(document_head(offline, ENGLISH))
+        assert as_it_is("run-17") == head.pop("Report number")
+        assert set(head.values()) == {"not stated"}
+        probe, artefact, thermometer = instruments(offline, ENGLISH).rows
+        assert probe[1:] == thermometer[1:] == ("not stated",) * 5
+        assert [without_marks(cell) for cell in artefact[1:4]] == [BAR.name, "not stated", BAR.certificate]
+        assert calibration_notes(offline, ENGLISH) == ()
+
+    def test_what_is_stated_stands_at_the_head_in_both_languages(self, offline: ReportData) -> None:
+        data = replace(offline, document=stated())
+        english, german = (render_report(data, language=language) for language in ("en", "de"))
+        for page in (english, german):
+            for words in ("VC-run-17", "Prior &amp; &lt;Sons&gt;", ">17<", ">Night<", "A. Body"):
+                assert words in page
+        assert "Thermometer (Night, K-1): the calibration was due on 2026-01-31, before this" in english
+        assert "Thermometer (Night, K-1): Die Kalibrierung war am 31.01.2026 fällig, vor dieser" in german
+        assert "Sensor (S 2): the calibration of 2026-03-02 is later than this measurement of 2026-03-01." in english
+        assert english.count("the calibration was due on") == 1
+        assert not re.search(r"Statement|not stated|nicht stated|conforms", german)
+
+    @pytest.mark.parametrize(
+        ("changes", "key"),
+        [
+            ({"instruments": [{"kind": "probe", "calibrated": "2026-02-01", "due": "2026-02-01"}]}, "instruments[0]"),
+            ({"instruments": [{"kind": "laser"}]}, "instruments[0].kind"),
+            ({"tolerances": {"EXQ": 1.0}}, "tolerances.EXQ"),
+            ({"tolerances": {"EXX": 0.0}}, "tolerances.EXX"),
+            ({"customer": "a\nb"}, "customer"),
+            ({"customer": "  "}, "customer"),
+            ({"machine": {"maker": "x" * 121}}, "machine.maker"),
+        ],
+    )
+    def test_a_head_that_cannot_be_is_refused_by_its_key(self, changes: dict[str, Any], key: str) -> None:
+        with pytest.raises(FormatError) as refused:
+            stated(**changes)
+        assert refused.value.where["key"].startswith(key)
+
+    def test_tolerances_are_judged_with_a_guard_band(self, offline: ReportData) -> None:
+        row = ErrorRow("EXX", "positioning of X", "µm", -10.0, 2.0)
+        expected = {
+            None: "no tolerance",
+            12.0: "conforms",
+            11.9: "undecided",
+            8.0: "undecided",
+            7.9: "does not conform",
+        }
+        assert {tolerance: row.conformity(tolerance).value for tolerance in expected} == expected
+        page = Page(render_report(replace(offline, document=stated())))
+        for words in ("conforms", "does not conform", "VCE with table, predicted"):
+            assert words in page.text
+        assert "ISO 14253-1" in " ".join(page.text)
+
+    def test_there_is_one_convention_of_coverage(self, offline_page: str) -> None:
+        text = " ".join(Page(offline_page).text)
+        assert not re.search(r"σ|k = 1", text)
+        assert "coverage factor k = 2" in text
+
+
+class TestBudget:
+    def test_the_columns_add_up_to_what_the_report_states(self, offline: ReportData) -> None:
+        found, estimate = offline.identification, estimate_of(offline)
+        assert found is not None
+        table = budget_table(found, OFFSET, ENGLISH)
+        values = np.array([[float(cell.replace("–", "0")) for cell in row[1:]] for row in table.rows])
+        assert np.sqrt((values[:-1] ** 2).sum(axis=0)) == pytest.approx(values[-1], abs=0.03)
+        stated_um = predicted_vce(estimate, evaluation_grid(RANGES), OFFSET).aligned_um
+        rows = {row.name: row for row in error_rows(found)}
+        total = dict(zip(table.heads[1:], values[-1].tolist(), strict=True))
+        assert total["VCE / µm"] == pytest.approx(stated_um, abs=0.006)
+        assert total["U(EXX) / µm"] == pytest.approx(rows["EXX"].expanded_uncertainty, abs=0.006)
+        assert total["U(A0Z) / µrad"] == pytest.approx(rows["A0Z"].expanded_uncertainty, abs=0.006)
+
+    def test_touches_and_family_are_told_apart_as_for_a_linear_estimate(self, offline: ReportData) -> None:
+        """An estimate with random information N of all unknowns: H = N + P, where P is the prior precision. Given the
+        nuisance unknowns, the noise causes H⁻¹ N H⁻¹ of the other ones, and the family H⁻¹ P H⁻¹."""
+        base, rng = estimate_of(offline), np.random.default_rng(8)
+        unknowns, blocks = base.unknowns, base.unknowns.blocks
+        prior = PriorPrecision(blocks, None, SeriesPrior.of(MODEL, unknowns.scale)).matrix(base.scales)
+        rows = rng.normal(size=(blocks.size // 2, blocks.size))
+        information = rows.T @ rows
+        covariance = np.linalg.inv(information + prior)
+        misfit = Misfit.of(unknowns, base.z, covariance, 0.0)
+        assert misfit is not None
+        own = np.r_[0 : blocks.parameters.stop, blocks.misfit.start : blocks.misfit.stop]
+        known = np.linalg.inv((information + prior)[np.ix_(own, own)])
+        scale = np.concatenate((unknowns.scale, np.ones(len(own) - MODEL.size)))
+        units = np.multiply.outer(*2 * [np.where(scale > 0.0, scale, 1.0)])
+        free = np.multiply.outer(scale > 0.0, scale > 0.0)  # the family holds some parameters at zero
+        estimate = replace(base, z_covariance=covariance, misfit=misfit)
+        budget = posterior_budget(estimate, family_prior=True)
+        for name, matrix in (("centres", information), ("undetermined", prior)):
+            expected = known @ matrix[np.ix_(own, own)] @ known
+            assert budget.parts[name] / units == pytest.approx(free * expected, rel=1e-6, abs=1e-9)
+        total = sum(budget.parts.values()) / units
+        assert total == pytest.approx(free * covariance[np.ix_(own, own)], rel=1e-6, abs=1e-9)
+        apart = posterior_budget(estimate, family_prior=False)
+        assert apart.parts["centres and prior"] == pytest.approx(budget.parts["centres"] + budget.parts["undetermined"])
+
+    def test_a_thermometer_has_the_part_that_the_validity_states(self) -> None:
+        options = Options(temperature_standard_uncertainty_k=0.5)
+        estimate = identify(MODEL, observations(np.random.default_rng(3)), BAR, FAMILY, options)
+        forms = field_forms(estimate, evaluation_grid(RANGES), OFFSET)
+        parts = posterior_budget(estimate, family_prior=True).remaining_rms(forms[1])
+        stated_mm = thermometer_effect(estimate, forms).contribution.aligned_mm
+        assert parts["temperature"] == pytest.approx(stated_mm, rel=1e-6)
+
+
+class TestRanges:
+    def test_the_range_of_a_slope_is_twice_its_coefficient(self) -> None:
+        values, covariance = np.zeros(MODEL.size), np.zeros((MODEL.size, MODEL.size))
+        place = MODEL.index("EXX[1]")
+        values[place], covariance[place, place] = -0.004, 0.0005**2
+        curve = error_curve(MODEL, values, covariance, "EXX")
+        assert curve is not None
+        assert curve.range == pytest.approx((8.0, 2.0))  # P1 = ∓1 at the ends; U = 2 · 2 · 0.5
+
+    def test_the_true_range_is_rarely_beyond_range_and_uncertainty(self) -> None:
+        """Error motions drawn from their posterior, well determined ones and ones that nothing determines."""
+        rng, block = np.random.default_rng(9), MODEL.block["EYY"]
+        covariance = np.zeros((MODEL.size, MODEL.size))
+        factor = rng.normal(size=(block.stop - block.start,) * 2) * 1e-3
+        covariance[block, block] = factor @ factor.T
+        for size in (0.0, 0.02):
+            values = np.zeros(MODEL.size)
+            values[block] = size * rng.normal(size=block.stop - block.start)
+            curve = error_curve(MODEL, values, covariance, "EYY")
+            assert curve is not None
+            total = sum(curve.range)
+            drawn = rng.multivariate_normal(curve.value, curve.covariance, 4000, method="eigh")
+            assert np.mean(np.ptp(drawn, axis=1) <= total) > 0.93
+
+
 class TestCurves:
     def values(self, **terms: float) -> np.ndarray:
         values = np.zeros(MODEL.size)
@@ -373,6 +539,22 @@ class TestNumbers:
         balls, rms = residuals.rms_per_ball
         assert balls.tolist() == [0, 1]
         assert rms.tolist() == [[3.0, 0.0, 0.0], [0.0, 2.0, 0.0]]
+
+
+class TestMarkers:
+    def test_a_series_becomes_one_path_with_its_line_and_filling(self) -> None:
+        shape = '<defs> <path id="m" d="M 0 -1.5 L 1e-1 2 z" style="stroke: red"/> </defs>'
+        uses = "".join(f'<use xlink:href="#m" x="{x}" y="20" style="fill: blue"/>\n' for x in (10, 11.5))
+        joined = join_markers(f'<g>{shape}{uses}<use xlink:href="#m" x="1" y="2" style="fill: none"/></g>')
+        first = '<path d="M 10 18.5 L 10.1 22 z M 11.5 18.5 L 11.6 22 z" style="fill: blue; stroke: red"/>'
+        assert joined.split("\n") == [
+            f"<g>{first}",
+            '<path d="M 1 0.5 L 1.1 4 z" style="fill: none; stroke: red"/>',
+            "</g>",
+        ]
+
+    def test_a_page_refers_to_no_marker(self, offline_page: str) -> None:
+        assert "<use" not in offline_page
 
 
 class TestWords:

@@ -72,7 +72,7 @@ EFFECT = ThermometerEffect(0.5, 5.75e-6, VolumetricRms(0.003, 0.0028), Volumetri
 
 def test_the_report_says_what_the_thermometer_costs() -> None:
     facts = ThermometerFacts.of(EFFECT, ThermometerStatement.of(0.5, was_read=True))
-    assert facts.text.startswith("Temperature of the artefact ±0.5 K (k = 1): scale ±5.8 µm/m. It contributes 2.80 µm")
+    assert facts.text.startswith("Temperature of the artefact ±1 K (k = 2): scale ±11.5 µm/m. It contributes 2.80 µm")
     assert facts.short_text == "±0.5 K (as stated): 2.80 µm of the predicted VCE"
     assert facts.warning is None
 

@@ -81,8 +81,9 @@ class CommonScale:
         """The scale in words, with what was expected of it."""
         axes = ", ".join(f"E{axis}{axis} {value:+.1f}" for axis, value in zip(AXES, self.axes_um_per_m, strict=True))
         return (
-            f"a common scale of {self.scale_um_per_m:+.1f} ± {self.standard_uncertainty_um_per_m:.1f} µm/m ({axes}); "
-            f"the family and the stated uncertainties give 0 ± {self.expected_um_per_m:.1f} µm/m (k = 1)"
+            f"a common scale of {self.scale_um_per_m:+.1f} ± {2.0 * self.standard_uncertainty_um_per_m:.1f} µm/m "
+            f"({axes}); the family and the stated uncertainties give 0 ± {2.0 * self.expected_um_per_m:.1f} µm/m "
+            "(k = 2)"
         )
 
     @property

@@ -1,0 +1,122 @@
+"""Table of the 21 geometric errors: range over the travel, expanded uncertainty, tolerance and what may be stated about
+conformity."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from agent.reports.page.data import IdentificationData
+from agent.reports.page.error_curves import geometric_error_curves
+from agent.reports.page.number_format import COVERAGE, Table, fixed
+from agent.reports.page.texts import Texts
+from agent.results.facts import Quantity
+from twin.machine.error_model import SQUARENESS, error_motion_kind
+from twin.workpiece.conformity import Conformity
+
+MICRORADIANS = 1e6
+_ROLLS = ("EAX", "EBY", "ECZ")
+_SQUARENESS_OF = {"C0Y": "squareness of Y to X", "B0Z": "squareness of Z to X", "A0Z": "squareness of Z to Y"}
+
+
+@dataclass(frozen=True)
+class ErrorRow:
+    """One of the 21 geometric errors. `size` is the range of an error motion over the travel, or the value of a
+    squareness, and `expanded_uncertainty` its U (k = 2), both in `unit`, which is µm or µrad."""
+
+    name: str
+    meaning: str
+    unit: str
+    size: float
+    expanded_uncertainty: float
+
+    def conformity(self, tolerance: float | None) -> Conformity:
+        """Return what may be stated about the error and its tolerance after ISO 14253-1, with a guard band of U."""
+        size, doubt = abs(self.size), self.expanded_uncertainty
+        return _stated(size - doubt, size + doubt, tolerance)
+
+
+def _stated(lower: float, upper: float, tolerance: float | None) -> Conformity:
+    if tolerance is None:
+        return Conformity.NO_TOLERANCE
+    if upper <= tolerance:
+        return Conformity.CONFORMS
+    return Conformity.DOES_NOT_CONFORM if lower > tolerance else Conformity.UNDECIDED
+
+
+def error_rows(identification: IdentificationData) -> tuple[ErrorRow, ...]:
+    """Return the geometric errors that the error model contains: the error motions of X, Y and Z, then the
+    squarenesses."""
+    estimate = identification.estimate
+    model, sigma = estimate.model, estimate.standard_uncertainty
+    curves = geometric_error_curves(model, estimate.parameters, estimate.covariance)
+    rows = [ErrorRow(curve.name, meaning(curve.name), curve.unit, *curve.range) for curve in curves]
+    for name in SQUARENESS:
+        if name in model.names:
+            index = model.index(name)
+            value = MICRORADIANS * float(estimate.parameters[index])
+            rows.append(ErrorRow(name, meaning(name), "µrad", value, COVERAGE * MICRORADIANS * float(sigma[index])))
+    return tuple(rows)
+
+
+def meaning(name: str) -> str:
+    """Return what the error `name` of ISO 230-1 is, such as `straightness of X along Y`."""
+    if name in _SQUARENESS_OF:
+        return _SQUARENESS_OF[name]
+    direction, axis = name[1], name[2]
+    kind = error_motion_kind(name)
+    if kind == "positioning":
+        return f"positioning of {axis}"
+    if kind == "straightness":
+        return f"straightness of {axis} along {direction}"
+    return f"roll of {axis}" if name in _ROLLS else f"tilt of {axis} about {direction}"
+
+
+def error_tables(identification: IdentificationData, tolerances: Mapping[str, float], t: Texts) -> list[Table]:
+    """Return the geometric errors in two tables, which stand side by side: those of X with the squarenesses, and the
+    others. Columns of tolerances are left out if no tolerance of a geometric error is stated."""
+    rows = error_rows(identification)
+    limited = any(row.name in tolerances for row in rows)
+    cells = [_cells(row, tolerances.get(row.name), t, limited=limited) for row in rows]
+    heads = (t["error"], t["meaning"], t["size"], t["expanded"], t["unit"])
+    numeric = (t["size"], t["expanded"])
+    if limited:
+        wider = (*heads, t["tolerance"], t["conformity"])
+        return [Table(wider, tuple(cells), (*numeric, t["tolerance"]))]
+    half = (len(cells) + 1) // 2
+    return [Table(heads, tuple(part), numeric) for part in (cells[:half], cells[half:]) if part]
+
+
+def _cells(row: ErrorRow, tolerance: float | None, t: Texts, *, limited: bool) -> tuple[str, ...]:
+    first = (row.name, row.meaning, fixed(row.size, 1), fixed(row.expanded_uncertainty, 1), row.unit)
+    if not limited:
+        return first
+    if tolerance is None:
+        return (*first, "–", "–")
+    return (*first, f"{tolerance:g}", t[row.conformity(tolerance).name.lower()])
+
+
+def volumetric_conformity(
+    identification: IdentificationData, tolerances: Mapping[str, float], t: Texts
+) -> Table | None:
+    """Return the table of the volumetric errors that have a tolerance, or None if none has one. A 95 % limit beyond the
+    tolerance forbids the statement of conformity."""
+    summary = identification.volumetric
+    rows = []
+    for name, quantity in (("VE", summary.before_aligned), ("VCE", summary.after_aligned)):
+        if name in tolerances:
+            lower, upper = _limits(quantity)
+            stated = _stated(lower, upper, tolerances[name])
+            values = (fixed(quantity.value_um, 1), fixed(lower, 1), fixed(upper, 1), f"{tolerances[name]:g}")
+            rows.append((t[f"tolerated_{name.lower()}"], *values, t[stated.name.lower()]))
+    if not rows:
+        return None
+    heads = (t["quantity"], t["value_um"], t["lower"], t["upper"], t["tolerance"], t["conformity"])
+    return Table(heads, tuple(rows), heads[1:5])
+
+
+def _limits(quantity: Quantity) -> tuple[float, float]:
+    if quantity.limits_um is not None:
+        return quantity.limits_um
+    doubt = COVERAGE * (quantity.standard_uncertainty_um or 0.0)
+    return quantity.value_um - doubt, quantity.value_um + doubt
