@@ -93,7 +93,10 @@ def minimal_config(tmp_path: Path, season: Season) -> Path:
 
 
 class TestPredictedPart:
-    FEATURES = "name,kind,x_mm,y_mm,z_mm,to_x_mm,to_y_mm,to_z_mm\nA,distance,0,0,0,300,0,0\nB,position,0,200,0,,,\n"
+    FEATURES = (
+        "name,kind,x_mm,y_mm,z_mm,to_x_mm,to_y_mm,to_z_mm\nD,datum,0,0,0,,,\nE,datum,300,0,0,,,\nF,datum,0,200,0,,,\n"
+        "A,distance,0,0,0,300,0,0\nB,position,150,200,0,,,\n"
+    )
     PART = PartBody(file="part.csv", features=FEATURES, origin_mm=(700.0, 400.0, 300.0))
 
     def test_the_page_predicts_what_the_command_predicts(self, season: Season, tmp_path: Path) -> None:
@@ -116,7 +119,7 @@ class TestPredictedPart:
         for run, changed, words in (
             (season.verified.outcome.run_id, {}, "has no estimate"),
             (run_id, {"features": "name,kind\n"}, "column"),
-            (run_id, {"features": self.FEATURES.replace("300", "none")}, "none"),
+            (run_id, {"features": self.FEATURES.replace("A,distance,0", "A,distance,none")}, "none"),
             (run_id, {"origin_mm": (9e4, 0.0, 0.0)}, "reach|travel|identified"),
         ):
             with pytest.raises(InputError, match=words):
