@@ -285,8 +285,8 @@ def _draw_variant(panel: BrokenAxes, found: Sequence[Strategy], variant: int, na
     others = [one for one in found if one.name not in names and measure.um(one.verdicts[variant]) is not None]
     panel.draw_curve([one.minutes for one in best], [one.verdicts[variant] for one in best], variant)
     for one in others:
-        value = measure.um(one.verdicts[variant]) or 0.0
-        panel.axes_for(value).plot(one.minutes, value, "x", color=SERIES[variant], markersize=5)
+        left_um = measure.um(one.verdicts[variant]) or 0.0
+        panel.axes_for(left_um).plot(one.minutes, left_um, "x", color=SERIES[variant], markersize=5)
     panel.draw_simulated([one.minutes for one in others], [one.verdicts[variant] for one in others], SERIES[variant])
     near = _CROWDED_SHARE * max(one.minutes for one in found)
     for one in found:

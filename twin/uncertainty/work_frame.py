@@ -62,7 +62,7 @@ class WorkFrameForm:
         middle = points.mean(axis=0)
         motions = rigid_fields(points, middle, 1e3).reshape(-1, 6)
         columns = _columns(field, points).reshape(-1, field.size + 1)
-        motion = np.linalg.lstsq(motions, columns, rcond=1e-12)[0]
+        motion = np.asarray(np.linalg.lstsq(motions, columns, rcond=1e-12)[0], dtype=np.float64)
         motion[3:] /= 1e3  # from a size of 1000 mm to the unit of `_without`
         return cls._without(field, middle, motion)
 

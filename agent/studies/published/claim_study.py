@@ -121,14 +121,16 @@ def _draw_findings(panel: Axes, name: str, findings: Sequence[ClaimFinding]) -> 
     for series, measure in enumerate(MEASURES):
         colour, marker = SERIES[series], MARKERS[series]
         panel.plot([], [], color=colour, marker=marker, linestyle="none", label=measure.title)
-        for one in (one for one in findings if one.measure == measure.key and one.value is not None):
+        for one in (one for one in findings if one.measure == measure.key):
+            if one.value is None:
+                continue
             at = places.index((one.machine, one.reading)) + _SPREAD * (series - 1)
             if one.band is not None:
                 panel.vlines(at, *one.band, color=colour, linewidth=1.4)
             panel.plot(at, one.value, marker, color=colour, mfc=colour if one.holds else "white", markersize=6.5)
             if one.answer and not one.holds:
                 panel.annotate(
-                    one.answer, (at, one.value or 0.0), (3, -34), textcoords="offset points", fontsize=6, rotation=90
+                    one.answer, (at, one.value), (3, -34), textcoords="offset points", fontsize=6, rotation=90
                 )
     for limit in _LIMITS.get(name, ()):
         panel.axhline(limit, color=INK, linestyle="--", linewidth=0.9)

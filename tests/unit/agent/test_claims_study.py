@@ -4,6 +4,7 @@ exact residual field on the grid."""
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -23,18 +24,19 @@ from agent.studies.published.procedures import (
     StudiedMachine,
     bent,
 )
+from twin.arrays import Array
 from twin.artefact.position_set import SET_EXPRESSIONS
 
 
 def errors(value_um: float, *machines_um: float, cost: int = 0) -> RemainingErrors:
-    each = {one.key: np.array(machines_um or (value_um,)) for one in MEASURES}
+    each: dict[str, Array] = {one.key: np.array(machines_um or (value_um,)) for one in MEASURES}
     return RemainingErrors({one.key: value_um for one in MEASURES}, each, cost)
 
 
-def outcomes(after: dict[ProcedureKey, RemainingErrors | None], before: RemainingErrors) -> Outcomes:
+def outcomes(after: Mapping[ProcedureKey, RemainingErrors | None], before: RemainingErrors) -> Outcomes:
     made = StudiedMachine.of(study_case(seed=1))
     every: dict[ProcedureKey, RemainingErrors | None] = dict.fromkeys(KEYS)
-    return Outcomes("one", made.variants[0], ALIGNED, before, every | after)
+    return Outcomes("one", made.variants[0], ALIGNED, before, {**every, **after})
 
 
 def finding(machine: str, reading: str, measure: str, holds: bool) -> ClaimFinding:

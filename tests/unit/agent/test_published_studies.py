@@ -68,7 +68,7 @@ def set_up(made: StudyCase, field_at: Callable[[Array], Array], points: Array) -
 
     def slope(axis: int) -> Array:
         line = np.tile(middle, (65, 1))
-        line[:, axis] = np.linspace(*ranges[axis], 65)
+        line[:, axis] = np.linspace(ranges[axis, 0], ranges[axis, 1], 65)
         return np.asarray(np.polyfit(line[:, axis], field_at(line), 1)[0])
 
     along_x, along_y = slope(0), slope(1)
@@ -97,7 +97,7 @@ class TestVolumetricError:
             assert found.raw_um[number] == pytest.approx(rms_um(field), abs=5 * NANOMETRE_UM)
             aligned = rms_um(less_rigid(made, field, grid, field, grid))
             assert found.aligned_um[number] == pytest.approx(aligned, abs=5 * NANOMETRE_UM)
-            in_frame = rms_um(set_up(made, lambda at, machine=parameters: true_field(made, machine, at), grid))
+            in_frame = rms_um(set_up(made, partial(true_field, made, parameters), grid))
             assert found.work_frame_um[number] == pytest.approx(in_frame, abs=5 * NANOMETRE_UM)
 
     def test_the_maps_show_the_exact_deviation_at_800_mm(self) -> None:

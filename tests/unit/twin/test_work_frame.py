@@ -50,7 +50,8 @@ def test_a_work_offset_takes_the_field_at_its_point_off(seed: int) -> None:
 @pytest.mark.parametrize("seed", [1, 2])
 def test_known_places_take_the_fitted_motion_off(seed: int) -> None:
     drawn, joint = machine(seed)
-    balls = np.random.default_rng(seed).uniform(*np.transpose(RANGES), (40, 3))
+    low, high = np.transpose(RANGES)
+    balls = np.random.default_rng(seed).uniform(low, high, (40, 3))
     motions = [np.tile(np.eye(3)[axis], (40, 1)).ravel() for axis in range(3)]
     motions += [np.cross(np.eye(3)[axis], balls / 1e3).ravel() for axis in range(3)]
     found = np.linalg.lstsq(np.transpose(motions), field_at(drawn, balls).ravel(), rcond=None)[0]
