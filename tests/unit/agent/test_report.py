@@ -384,7 +384,7 @@ class TestBudget:
         prior = PriorPrecision(blocks, None, SeriesPrior.of(MODEL, unknowns.scale)).matrix(base.scales)
         rows = rng.normal(size=(blocks.size // 2, blocks.size))
         information = rows.T @ rows
-        covariance = np.linalg.inv(information + prior)
+        covariance = np.asarray(np.linalg.inv(information + prior), dtype=np.float64)
         misfit = Misfit.of(unknowns, base.z, covariance, 0.0)
         assert misfit is not None
         own = np.r_[0 : blocks.parameters.stop, blocks.misfit.start : blocks.misfit.stop]
