@@ -53,6 +53,11 @@ OWN_COMMANDS = {
         "Predict what a laser and a ballbar will show: the figures of ISO 230, each with its uncertainty.",
         logs=False,
     ),
+    "actions": OwnCommand(
+        "agent.cli.offline_commands.actions:actions_command",
+        "Propose at most five mechanical actions on a machine, each with its amount and its gain.",
+        logs=False,
+    ),
     "abort": OwnCommand(
         "agent.cli.service_commands.requests:abort_command",
         "Stop the run, withdraw the probe and restore the previous table.",
