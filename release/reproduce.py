@@ -30,17 +30,22 @@ COMMANDS = ("release.wheel", "release.deb")
 
 
 def main() -> int:
+    commit = git(ROOT, "rev-parse", "HEAD")  # the checkout may go on while this builds
     with tempfile.TemporaryDirectory() as folder:
-        builds = [build_clone(Path(folder) / name, umask, environment) for name, (umask, environment) in PLACES.items()]
+        builds = [
+            build_clone(commit, Path(folder) / name, umask, environment)
+            for name, (umask, environment) in PLACES.items()
+        ]
     equal = builds[0] == builds[1]
     different = sorted(name for name in builds[0] if builds[0][name] != builds[1].get(name))
     print(json.dumps({"passed": equal, "sha256": builds[0], "different": different}))
     return 0 if equal else 1
 
 
-def build_clone(clone: Path, umask: int, environment: Mapping[str, str]) -> dict[str, str]:
-    """Build the release files in a new clone and return their SHA-256 sums by name."""
+def build_clone(commit: str, clone: Path, umask: int, environment: Mapping[str, str]) -> dict[str, str]:
+    """Build the release files of a commit in a new clone and return their SHA-256 sums by name."""
     git(ROOT, "clone", "--quiet", "--no-hardlinks", str(ROOT), str(clone))
+    git(clone, "checkout", "--quiet", "--detach", commit)
     for command in COMMANDS:
         words = [sys.executable, "-m", command, "--out", str(clone / "dist")]
         subprocess.run(words, check=True, cwd=clone, umask=umask, env={**os.environ, **environment}, stdout=sys.stderr)

@@ -292,6 +292,11 @@ class RequestScene:
     def position_mm(self) -> list[float]:
         return [float(axis) for axis in self.world.controller.displayed_position()]
 
+    @property
+    def probe_deflected(self) -> bool:
+        """True if the tip stands on a ball, as it does after a touch that the controller ended without the agent."""
+        return self.world.controller.probe_deflected
+
     def restart(self) -> None:
         """Replace the owner by a new one on the same state directory, as a restart of the service does."""
         self.event_log, self._process = EventLog(), OwnerProcess()

@@ -71,6 +71,7 @@ class RequestTrial:
         self._proved = {self.scene.table}
         self._runs = 0
         self._running = self._closed = self._answered = self._hindered = self._unattended = False
+        self._began_deflected = False
         self._killed: set[str] = set()
         self._history: list[str] = []
         self._shown = S.IDLE
@@ -241,6 +242,7 @@ class RequestTrial:
             return False
         self._runs += 1
         self._running, self.scene.aborted = True, False
+        self._began_deflected = self.scene.probe_deflected  # a run rightly refuses to move such a probe
         self._hindered = self.scene.link.cut or self.scene.refuses_activation
         self._answered = self._unattended = False
         if self.scene.table not in self._proved and name != "resume_run":  # which proves the table
@@ -290,7 +292,8 @@ class RequestTrial:
             self._violated(f"table {scene.table} is active after {status.state.value} without a proof")
         if status.state in {S.ABORTED, S.FAULTED, S.REFUSED} and not status.alarms:
             self._violated(f"{status.state.value} without a cause")
-        if status.state is S.FAULTED and not (self._hindered or self._closed or self._unattended):
+        excused = self._hindered or self._closed or self._unattended or self._began_deflected
+        if status.state is S.FAULTED and not excused:
             self._violated(f"{status.kind} faulted on a sound machine: {status.alarms[0].text}")
         scene.world.advance_to(scene.world.now + SETTLE_S)
         moved = max(abs(now - then) for now, then in zip(scene.position_mm, place, strict=True))
