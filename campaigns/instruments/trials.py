@@ -39,8 +39,9 @@ from simulators.scenario import AxisBehaviour, StoreSettings
 from simulators.wire.instrument_requests import answer_of
 from simulators.world.field import TableField
 from simulators.world.tables import TableBanks
-from twin.compensation.table import Anchor, CompensationTable, MeasuredRegion, build_table, regular_nodes
+from twin.compensation.table import CompensationTable, MeasuredRegion, build_table, regular_nodes
 from twin.identification import Estimate, identify_by_evidence
+from twin.machine.anchor import Anchor
 from twin.workpiece.acceptance import acceptance_tests, predict_tests
 from twin.workpiece.agreement import EN_LIMIT
 
