@@ -13,9 +13,8 @@ from dataclasses import MISSING, dataclass, field, fields
 from datetime import UTC, datetime
 from functools import cached_property
 from types import NoneType, UnionType
-from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Union, get_args, get_origin, get_type_hints
 
-import numpy as np
 from sqlalchemy import (
     Boolean,
     Column,
@@ -31,7 +30,9 @@ from sqlalchemy import (
 )
 
 from agent.results.run_verdict import RunVerdict, verdict_of
-from twin.arrays import Array
+
+if TYPE_CHECKING:
+    from twin.arrays import Array
 
 SCHEMA_VERSION = 1
 _TYPES = {float: Double(), datetime: DateTime(timezone=True), int: Integer(), str: Text(), bool: Boolean()}
@@ -162,6 +163,8 @@ class StoredRun:
     @cached_property
     def parameter_arrays(self) -> ParameterArrays:
         """The parameters as arrays. They are made once, since the series of all runs are made again after each run."""
+        import numpy as np  # noqa: PLC0415  the list of runs needs no mathematics
+
         values = np.array([one.value for one in self.parameters])
         sigmas = np.array([one.standard_uncertainty for one in self.parameters])
         return ParameterArrays(tuple(one.name for one in self.parameters), values, sigmas)
