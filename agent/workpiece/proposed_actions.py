@@ -19,6 +19,9 @@ from twin.workpiece.mechanical_actions import (
 
 UM_PER_M = 1e6
 """Micrometres per metre, or microradians, of an amount of 1."""
+AT_THIS_TEMPERATURE = (
+    "A scale is that of the machine's temperature during the measurement: a steel scale changes by about 11 µm/m per K."
+)
 _DIGITS = 3
 
 
@@ -65,11 +68,15 @@ def propose_actions(estimate: Path, most: int, tool_offset_mm: tuple[float, floa
 
 def action_text(action: MechanicalAction) -> str:
     """Return what to turn, in words."""
-    over = f"{UM_PER_MM * abs(action.over_travel_mm):.1f} µm over {action.travel_mm:g} mm"
+    over = f"{UM_PER_MM * abs(action.over_travel_mm):.1f} µm"
     if action.kind is ActionKind.SCALE:
-        return f"{'lengthen' if action.amount > 0.0 else 'shorten'} the scale of {action.axis}: {over}"
+        verb = "lengthen" if action.amount > 0.0 else "shorten"
+        return f"{verb} the scale of {action.axis}: {over} over {action.travel_mm:g} mm"
     sign = "+" if action.amount > 0.0 else "-"
-    return f"turn the guide of {action.axis} so that its positive end moves towards {sign}{action.towards}: {over}"
+    return (
+        f"turn the guide of {action.axis}: over {action.travel_mm:g} mm towards +{action.axis}, the tool must move "
+        f"{over} further towards {sign}{action.towards} relative to the workpiece"
+    )
 
 
 def _state(state: VolumetricState) -> dict[str, Any]:

@@ -190,7 +190,7 @@ def field_sums(estimate: FieldKnowledge, grid: Array, offset: Array) -> FieldSum
     """Return the sums of the error field of `estimate` over the axis positions `grid` (n, 3) in mm, for a tool offset
     (3,) in mm. All quadratic forms over this grid follow from them."""
     motions = _motions_about(grid, offset)
-    sums = GridQuadrature.for_points(grid, _degrees(estimate))
+    sums = GridQuadrature.for_points(grid, field_degrees(estimate))
     size = len(_second_moments(estimate))
     field_sum, shared, motion = np.zeros((size, size)), np.zeros((6, size)), np.zeros((6, 6))
     for start in range(0, len(sums.nodes), _CHUNK):
@@ -204,7 +204,7 @@ def field_sums(estimate: FieldKnowledge, grid: Array, offset: Array) -> FieldSum
     return FieldSums(field_sum, shared, motion, len(grid))
 
 
-def _degrees(estimate: FieldKnowledge) -> tuple[int, int, int]:
+def field_degrees(estimate: FieldKnowledge) -> tuple[int, int, int]:
     """Return upper bounds of the powers of x, y and z in the columns of the field. A column is a Legendre series with a
     lever, a cross-effect with a lever, or a misfit mode."""
     modes = () if estimate.misfit is None else estimate.misfit.modes.degrees

@@ -1,8 +1,9 @@
 """Mechanical actions on a machine that make its volumetric error smaller, chosen from an estimate by their gain.
 
-Two kinds of actions move the tool point by a field that is known exactly up to a rigid motion of the whole workspace,
-whatever the kinematic chain: a changed scale of an axis, and a guide that is turned at the joint to its neighbour, by
-which the squareness of two axes changes. Shims that bend a rail are not proposed: they also tilt what the rail carries.
+Two kinds of actions move the tool point by a field that is known exactly up to a rigid motion of the whole workspace: a
+changed scale of an axis, and a guide that is turned, with all that it carries, on what carries it. Of two axes that are
+not square, the one farther from the bed is turned: the other one would take it along. The third axis is parallel to the
+axis of this turn and keeps its direction. Shims that bend a rail are not proposed: they also tilt what it carries.
 
 The amounts are those that leave the smallest expected mean square of the error field after the best-fitting rigid
 motion is removed. Actions are added greedily, and all amounts are fitted anew with each of them.
@@ -10,7 +11,8 @@ motion is removed. Actions are added greedily, and all amounts are fitted anew w
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import combinations
 
@@ -18,8 +20,8 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.errors import DataError
-from twin.identification.predicted import unresolved_variance
-from twin.machine.error_model import Ranges
+from twin.identification.predicted import field_degrees, unresolved_variance
+from twin.machine.error_model import ErrorModel
 from twin.machine.grid_quadrature import GridQuadrature
 from twin.machine.kinematic_chain import AXES
 from twin.machine.rigid_motion import rigid_fields
@@ -28,7 +30,6 @@ from twin.workpiece.machine_field import MachineField, MachineKnowledge
 
 MOST_ACTIONS = 5
 COVERAGE = 0.95
-_DEGREES = (9, 7, 7)  # of the errors along X, Y and Z, up to which sums over the grid are exact
 _DRAWS = 1000
 _SEED = 17
 _LEVER_MM = 1000.0  # scale on which rotations and translations are compared
@@ -46,9 +47,10 @@ class ActionKind(StrEnum):
 class MechanicalAction:
     """Action on one joint of a machine.
 
-    A `SCALE` action lengthens the motion of `axis` by `amount`, as a ratio. A `SQUARENESS` action turns the motion of
-    `axis` towards the positive direction of the axis `towards` by `amount`, in rad. `expanded` is the expanded
-    uncertainty (k = 2) of the amount, and `travel_mm` the travel of `axis`.
+    A `SCALE` action lengthens the motion of `axis` by `amount`, as a ratio. A `SQUARENESS` action turns the guide of
+    `axis` by `amount`, in rad, so that the motion of the tool relative to the workpiece towards the positive direction
+    of `axis` turns towards that of `towards`. `expanded` is the expanded uncertainty (k = 2) of the amount, and
+    `travel_mm` the travel of `axis`.
     """
 
     kind: ActionKind
@@ -98,32 +100,22 @@ def plan_actions(estimate: MachineKnowledge, tool_offset: Array, most: int = MOS
     """
     if most < 1:
         raise DataError(f"at least one action must be allowed, not {most}")
-    ranges = estimate.model.ranges_mm
-    grid = _WeightedGrid.over(ranges)
-    drawn, expected, beside_mm2 = _aligned_draws(estimate, grid, tool_offset)
-    low, high = np.array(ranges).T
-    candidates = _candidates(high - low)
-    fields = np.stack([grid.aligned(action_field(one, grid.positions)) for one in candidates], axis=1)
+    candidates = _candidates(estimate.model)
+    forms = _ErrorForms.of(estimate, tool_offset, candidates)
     chosen: list[int] = []
-    states = [_state(drawn, beside_mm2)]
+    states = [forms.state([])]
     while len(chosen) < most:
         left = [number for number in range(len(candidates)) if number not in chosen]
-        if not left:
+        certain = [number for number in left if forms.are_certain([*chosen, number])]
+        if not certain:
             break
-        best = min(left, key=lambda number: _remaining(fields[:, [*chosen, number]], expected))
-        amounts, expanded = _amounts(fields[:, [*chosen, best]], expected, drawn)
-        if not (np.abs(amounts) > expanded).all():
-            break
-        chosen.append(best)
-        moved = fields[:, chosen] @ amounts
-        states.append(_state(drawn + moved[:, None], beside_mm2))
-    if not chosen:
-        return ActionPlan((), tuple(states))
-    amounts, expanded = _amounts(fields[:, chosen], expected, drawn)
+        chosen.append(min(certain, key=lambda number: forms.remaining([*chosen, number])))
+        states.append(forms.state(chosen))
+    amounts, expanded = forms.amounts(chosen)
     return ActionPlan(
         tuple(
-            MechanicalAction(one.kind, one.axis, one.towards, float(amount), float(bound), one.travel_mm)
-            for one, amount, bound in zip((candidates[number] for number in chosen), amounts, expanded, strict=True)
+            replace(candidates[number], amount=float(amount), expanded=float(bound))
+            for number, amount, bound in zip(chosen, amounts, expanded, strict=True)
         ),
         tuple(states),
     )
@@ -138,72 +130,79 @@ def action_field(action: MechanicalAction, axis_positions: Array) -> Array:
     return found
 
 
-def _candidates(travel_mm: Array) -> list[MechanicalAction]:
-    """Return all actions with the amount 1. Of two square axes, turning the one or the other is the same up to a rigid
-    motion: the shorter one is turned."""
-    found = [
-        MechanicalAction(ActionKind.SCALE, name, name, 1.0, 0.0, float(travel_mm[axis]))
-        for axis, name in enumerate(AXES)
-    ]
-    for pair in combinations(range(3), 2):
-        shorter, longer = sorted(pair, key=lambda axis: float(travel_mm[axis]))
-        turned = MechanicalAction(
-            ActionKind.SQUARENESS, AXES[shorter], AXES[longer], 1.0, 0.0, float(travel_mm[shorter])
-        )
-        found.append(turned)
+def _candidates(model: ErrorModel) -> list[MechanicalAction]:
+    """Return all actions with the amount 1. Of two square axes, the one farther from the bed is turned; of axes on
+    different sides of the bed, the one that moves the tool."""
+    low, high = np.array(model.ranges_mm).T
+    travel_mm = dict(zip(AXES, (high - low).tolist(), strict=True))
+    from_bed = [*model.chain.workpiece_side, *reversed(model.chain.tool_side)]
+    found = [MechanicalAction(ActionKind.SCALE, name, name, 1.0, 0.0, travel_mm[name]) for name in AXES]
+    for towards, turned in combinations(from_bed, 2):
+        found.append(MechanicalAction(ActionKind.SQUARENESS, turned, towards, 1.0, 0.0, travel_mm[turned]))
     return found
 
 
 @dataclass(frozen=True, eq=False)
-class _WeightedGrid:
-    """Nodes (n, 3) in mm of the grid over which a volumetric error is taken, with the roots (3n,) of their weights,
-    whose squares have the sum 3, and an orthonormal basis (3n, 6) of the weighted rigid motions."""
+class _ErrorForms:
+    """Mean squares in mm² of an error field after the best-fitting rigid motion is removed.
 
-    positions: Array
-    roots: Array
-    motions: Array
+    The field is the sum of the expected field, of what a draw of the P parameters and misfit coefficients differs from
+    their expected values (`drawn`, shape (P, draws)), and of the actions. `form` (P + 1 + K, P + 1 + K) contains the
+    mean products of the P columns, the expected field and the K fields of the actions with the amount 1. `beside_mm2`
+    is the mean square of the misfit that no mode shows.
+    """
+
+    form: Array
+    drawn: Array
+    beside_mm2: float
 
     @classmethod
-    def over(cls, ranges_mm: Ranges) -> _WeightedGrid:
-        sums = GridQuadrature.for_points(evaluation_grid(ranges_mm), _DEGREES)
+    def of(cls, estimate: MachineKnowledge, tool_offset: Array, actions: Sequence[MechanicalAction]) -> _ErrorForms:
+        sums = GridQuadrature.for_points(evaluation_grid(estimate.model.ranges_mm), field_degrees(estimate))
         nodes = sums.nodes
-        roots = np.sqrt(sums.weights / sums.count).repeat(3)
-        motions = rigid_fields(nodes, nodes.mean(axis=0), _LEVER_MM).reshape(nodes.size, 6)
-        return cls(nodes, roots, np.asarray(np.linalg.qr(roots[:, None] * motions)[0]))
+        field = MachineField.at(estimate, nodes, tool_offset)
+        fields = [field.expected, *(action_field(one, nodes).reshape(-1) for one in actions)]
+        roots = np.sqrt(sums.weights / sums.count).repeat(3)[:, None]
+        motions = np.linalg.qr(roots * rigid_fields(nodes, nodes.mean(axis=0), _LEVER_MM).reshape(nodes.size, 6))[0]
+        columns = roots * np.column_stack((field.columns, *fields))
+        shared = motions.T @ columns
+        values, vectors = np.linalg.eigh(field.covariance)
+        half = np.random.default_rng(_SEED).standard_normal((len(values), _DRAWS // 2))
+        drawn = (vectors * np.sqrt(np.maximum(values, 0.0))) @ np.concatenate((half, -half), axis=1)
+        beside_mm2 = 3.0 * unresolved_variance(estimate)
+        return cls(np.asarray(columns.T @ columns - shared.T @ shared), np.asarray(drawn), beside_mm2)
 
-    def aligned(self, fields: Array) -> Array:
-        """Return fields (3n,), (n, 3) or (3n, m), weighted and without their best-fitting rigid motion, as (3n,) or
-        (3n, m). The sum of the squares of one is its mean square."""
-        flat = self.roots[:, None] * fields.reshape(self.positions.size, -1)
-        left = flat - self.motions @ (self.motions.T @ flat)
-        return np.asarray(left[:, 0] if left.shape[1] == 1 else left)
+    def amounts(self, chosen: Sequence[int]) -> tuple[Array, Array]:
+        """Return the amounts (k,) of the `chosen` actions that leave the smallest expected mean square, and their
+        expanded uncertainties (k,)."""
+        fit, size = self._fit(chosen), len(self.drawn)
+        return -fit[:, size], np.asarray(_COVERAGE_FACTOR * (fit[:, :size] @ self.drawn).std(axis=1))
 
+    def are_certain(self, chosen: Sequence[int]) -> bool:
+        """Return True if all amounts exceed their expanded uncertainties."""
+        amounts, expanded = self.amounts(chosen)
+        return bool((np.abs(amounts) > expanded).all())
 
-def _aligned_draws(estimate: MachineKnowledge, grid: _WeightedGrid, tool_offset: Array) -> tuple[Array, Array, float]:
-    """Return drawn error fields (3n, draws) and the expected one (3n,) in mm without rigid motion, and the mean square
-    in mm² of the unresolved misfit."""
-    field = MachineField.at(estimate, grid.positions, tool_offset)
-    values, vectors = np.linalg.eigh(field.covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    half = np.random.default_rng(_SEED).standard_normal((root.shape[1], _DRAWS // 2))
-    spread = grid.aligned(field.columns @ (root @ np.concatenate((half, -half), axis=1)))
-    expected = grid.aligned(field.expected)
-    return np.asarray(expected[:, None] + spread), expected, 3.0 * unresolved_variance(estimate)
+    def remaining(self, chosen: Sequence[int]) -> float:
+        """Return the mean square in mm² of the expected field that the best amounts leave."""
+        size = len(self.drawn)
+        return float(self.form[size, size] - self.form[size, self._rows(chosen)] @ self._fit(chosen)[:, size])
 
+    def state(self, chosen: Sequence[int]) -> VolumetricState:
+        """Return the volumetric error with the best amounts of the `chosen` actions."""
+        size, rows = len(self.drawn), self._rows(chosen)
+        used = [*range(size + 1), *rows]
+        moved = np.concatenate(([1.0], self.amounts(chosen)[0]))[:, None].repeat(self.drawn.shape[1], axis=1)
+        fields = np.concatenate((self.drawn, moved))
+        squares = np.maximum(np.sum(fields * (self.form[np.ix_(used, used)] @ fields), axis=0), 0.0)
+        low, high = np.quantile(squares, [0.5 * (1.0 - COVERAGE), 0.5 * (1.0 + COVERAGE)])
+        found = (squares.mean() + self.beside_mm2, low, high + self.beside_mm2)
+        return VolumetricState(*(float(np.sqrt(one)) for one in found))
 
-def _amounts(fields: Array, expected: Array, drawn: Array) -> tuple[Array, Array]:
-    """Return the best amounts (k,) of k fields (3n, k), and their expanded uncertainty (k,)."""
-    fit = -np.linalg.pinv(fields)
-    return np.asarray(fit @ expected), np.asarray(_COVERAGE_FACTOR * (fit @ drawn).std(axis=1))
+    def _fit(self, chosen: Sequence[int]) -> Array:
+        """Return the amounts (k, P + 1 + K) of the chosen fields of which each field contains most."""
+        rows = self._rows(chosen)
+        return np.asarray(np.linalg.solve(self.form[np.ix_(rows, rows)], self.form[rows]))
 
-
-def _remaining(fields: Array, expected: Array) -> float:
-    """Return the sum of squares of the expected field that the best amounts of `fields` leave."""
-    left = expected - fields @ (np.linalg.pinv(fields) @ expected)
-    return float(left @ left)
-
-
-def _state(drawn: Array, beside_mm2: float) -> VolumetricState:
-    squares = np.sum(drawn**2, axis=0)
-    low, high = np.quantile(squares, [0.5 * (1.0 - COVERAGE), 0.5 * (1.0 + COVERAGE)])
-    return VolumetricState(*(float(np.sqrt(one)) for one in (squares.mean() + beside_mm2, low, high + beside_mm2)))
+    def _rows(self, chosen: Sequence[int]) -> list[int]:
+        return [len(self.drawn) + 1 + number for number in chosen]

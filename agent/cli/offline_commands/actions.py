@@ -17,14 +17,20 @@ from agent.cli.triples import point_in_mm
 
 if will_run():
     from agent.cli.printing import columns_table, results_console
-    from agent.workpiece.proposed_actions import UM_PER_M, ProposedActions, action_text, propose_actions
+    from agent.workpiece.proposed_actions import (
+        AT_THIS_TEMPERATURE,
+        UM_PER_M,
+        ProposedActions,
+        action_text,
+        propose_actions,
+    )
     from twin.units import UM_PER_MM
-    from twin.workpiece.mechanical_actions import VolumetricState
+    from twin.workpiece.mechanical_actions import ActionKind, VolumetricState
 
 
 @click.command("actions")
 @click.argument("estimate", type=PATH)
-@click.option("--most", type=click.IntRange(1, 6), default=5, show_default=True, help="Largest number of actions.")
+@click.option("--most", type=click.IntRange(1, 5), default=5, show_default=True, help="Largest number of actions.")
 @click.option(
     "--tool-offset",
     callback=point_in_mm,
@@ -56,6 +62,8 @@ def _show(found: ProposedActions) -> None:
     console = results_console()
     console.print(f"What to turn at the machine of {found.estimate}, in the order of the gain", markup=False)
     console.print(shown)
+    if any(action.kind is ActionKind.SCALE for action in found.plan.actions):
+        console.print(AT_THIS_TEMPERATURE)
     if not found.plan.actions:
         console.print("No action is larger than its uncertainty.")
 
