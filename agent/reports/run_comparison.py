@@ -236,7 +236,8 @@ def _by_name(estimate: ReportedEstimate) -> dict[str, ErrorCurve]:
         if name in estimate.model.names:
             index = estimate.model.index(name)
             value, sigma = estimate.parameters[index], estimate.standard_uncertainty[index]
-            found[name] = ErrorCurve(name, "", unit, np.zeros(1), np.array([scale * value]), np.array([scale * sigma]))
+            variance = np.array([[(scale * sigma) ** 2]])
+            found[name] = ErrorCurve(name, "", unit, np.zeros(1), np.array([scale * value]), variance)
     return found
 
 

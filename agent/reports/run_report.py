@@ -54,6 +54,7 @@ from drivers.errors import InputError
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
 from twin.artefact.touch_pattern import RADIUS_PATTERN
+from twin.errors import TwinError
 from twin.formats.estimate_file import StoredEstimate, parse_estimate
 from twin.formats.toml_reading import validate_document
 from twin.monitoring.step_power import SmallestStep
@@ -78,6 +79,7 @@ def report_of(record: RunRecord, trend: str = "", texts: Texts = ENGLISH) -> Rep
         )
     tool = record.settings["tool"]
     found = _found(record)
+    document, unread = _document(record, texts)
     return ReportData(
         header=_header(record, found),
         machine=as_it_is(inputs["machine"]),
@@ -86,17 +88,19 @@ def report_of(record: RunRecord, trend: str = "", texts: Texts = ENGLISH) -> Rep
         tool_offset=tuple(inputs["tools_mm"][tool]),
         identification=found,
         gates=_gates(record),
-        warnings=_warnings(record, found, texts),
+        warnings=(*unread, *_warnings(record, found, texts)),
         run=_facts(record, inputs, trend),
-        document=report_settings(record),
+        document=document,
     )
 
 
-def report_settings(record: RunRecord) -> ReportSettings:
-    """Return the section `[report]` of the settings with which the run was started. Raises InputError if this version
-    cannot read it."""
-    with translated(InputError):
-        return validate_document(dict(record.settings.get("report", {})), "settings in the journal", ReportSettings)
+def _document(record: RunRecord, texts: Texts) -> tuple[ReportSettings, tuple[str, ...]]:
+    """Return the section `[report]` of the settings with which the run was started. Of one that this version cannot
+    read, return none of its statements and a warning: the results of the run do not depend on it."""
+    try:
+        return validate_document(dict(record.settings.get("report", {})), "settings", ReportSettings), ()
+    except TwinError as error:
+        return ReportSettings(), (texts["document_unread"].format(error=error.message),)
 
 
 def _header(record: RunRecord, found: IdentificationData | None) -> Header:

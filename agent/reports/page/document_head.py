@@ -62,7 +62,10 @@ def instruments(data: ReportData, t: Texts) -> Table:
 
 
 def listed_instruments(data: ReportData) -> tuple[Instrument, ...]:
-    """Return the instruments that the settings state, by kind, and an empty one of each kind that is missing there."""
+    """Return the instruments that the settings state, by kind, and an empty one of each kind that is missing there.
+
+    Name and certificate of the artefact of the run are those of its file if the settings do not state them.
+    """
     stated = data.document.instruments
     kinds = {one.kind for one in stated}
     missing = [Instrument(kind=kind) for kind in EXPECTED if kind not in kinds]
@@ -71,7 +74,7 @@ def listed_instruments(data: ReportData) -> tuple[Instrument, ...]:
         one.model_copy(
             update={"name": one.name or artefact.name, "certificate": one.certificate or artefact.certificate}
         )
-        if one.kind == "artefact"
+        if one.kind == "artefact" and one.name in (None, artefact.name)
         else one
         for one in (*stated, *missing)
     ]
@@ -100,8 +103,11 @@ def calibration_notes(data: ReportData, t: Texts) -> tuple[str, ...]:
 def method(data: ReportData, t: Texts) -> list[str]:
     """Return the sentences on the method of the measurement and of its evaluation."""
     sentences = [t["method_measured"]]
-    if data.identification is not None:
+    found = data.identification
+    if found is not None:
         sentences.append(t["method_identified"])
+        sentences += [t["method_weights"]] * (dict(data.header.settings).get("Weights") == "full covariances")
+        sentences += [t["method_family"]] * (dict(data.header.settings).get("Prior") == "machine family")
     if data.run.verification is not None:
         sentences.append(t["method_verified"])
     return sentences
@@ -109,15 +115,16 @@ def method(data: ReportData, t: Texts) -> list[str]:
 
 def standards(data: ReportData, t: Texts) -> list[str]:
     """Return the standards that were applied, each with what it was applied to, and the procedures of the settings."""
-    names = [
-        "standard_names",
-        "standard_compensation",
-        "standard_probe",
-        "standard_temperature",
-        "standard_uncertainty",
-    ]
-    if data.document.tolerances:
-        names.append("standard_decision")
+    identified, limited = data.identification is not None, bool(data.document.tolerances)
+    applied = {
+        "standard_names": identified,
+        "standard_compensation": identified,
+        "standard_probe": data.run.probe is not None,
+        "standard_temperature": True,
+        "standard_uncertainty": True,
+        "standard_decision": identified and limited,
+    }
+    names = [name for name, is_applied in applied.items() if is_applied]
     return [*(t[name] for name in names), *(as_it_is(text) for text in data.document.procedures)]
 
 

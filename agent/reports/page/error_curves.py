@@ -31,6 +31,10 @@ class ErrorCurve:
     value: Array
     covariance: Array
 
+    def __post_init__(self) -> None:
+        if self.covariance.shape != 2 * self.value.shape:
+            raise ValueError(f"{self.name}: covariance of shape {self.covariance.shape}")
+
     @property
     def sigma(self) -> Array:
         return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))

@@ -82,10 +82,13 @@ def page_values(data: ReportData, t: Texts) -> dict[str, Any]:
 
 def _identification(data: ReportData, identification: IdentificationData, t: Texts) -> dict[str, Any]:
     """Return the values of the sections that need an estimate."""
+    proof = data.run.verification
     return {
         "summary": identification_sections.summary_table(data, identification, t),
         "travel": identification_sections.travel_table(identification, t),
-        "limits": error_table.volumetric_conformity(identification, data.document.tolerances, t),
+        "limits": error_table.volumetric_conformity(
+            identification, data.document.tolerances, t, table_active=proof is not None and proof.accepted
+        ),
         "errors": error_table.error_tables(identification, data.document.tolerances, t),
         "limited": bool(data.document.tolerances),
         "budget": budget_table(identification, np.asarray(data.tool_offset), t),

@@ -45,20 +45,22 @@ ENGLISH: Texts = {
         "probability of about 95 %. Where a distribution is not symmetrical, its 95 % limits stand instead. A "
         "repeatability is twice a standard deviation. An rms is a size, not an uncertainty."
     ),
+    "document_unread": "The section [report] of the settings of this run cannot be read and is left out: {error}.",
     # method and standards
     "method": "Method and standards",
     "method_measured": (
-        "The centres of the balls of a calibrated artefact were measured with the touch-trigger probe of the machine "
-        "in several positions of the artefact, each centre from several touches."
+        "The centres of the balls of the artefact were measured with the probe of the machine in several positions of "
+        "the artefact, each centre from several touches."
     ),
     "method_identified": (
-        "The geometric errors were identified from all centres together: least squares with the covariances of "
-        "centres, certificate and temperature. The pose of the artefact in each position is unknown. The known "
-        "spread of machines of this kind (machine family) determines what the positions do not."
+        "The geometric errors were identified from all centres together by least squares. The pose of the artefact in "
+        "each position is unknown."
     ),
+    "method_weights": "The centres were weighted with the covariances of touches, certificate and temperature.",
+    "method_family": "The known spread of machines of this kind (machine family) determines what the positions do not.",
     "method_verified": (
-        "The new table was then proved by measurements at positions that the estimate does not use, before and after "
-        "its activation."
+        "The new table was then checked by measurements at positions that the estimate does not use; the result is in "
+        "the section Verification."
     ),
     "standard_names": "ISO 230-1: names and signs of the geometric errors",
     "standard_compensation": "ISO/TR 16907: numerical compensation, volumetric error",
@@ -156,6 +158,8 @@ ENGLISH: Texts = {
     "conforms": "conforms",
     "does_not_conform": "does not conform",
     "undecided": "neither proven",
+    "not_determined": "not determined by this run",
+    "table_not_active": "the new table is not active",
     "tolerated_ve": "VE without table",
     "tolerated_vce": "VCE with table, predicted",
     "value_um": "value / µm",
@@ -165,7 +169,8 @@ ENGLISH: Texts = {
     "decision_rule": (
         "Decision rule after ISO 14253-1 with a guard band of U (k = 2), or of the 95 % limits: it conforms if its "
         "size and U together are within the tolerance, and does not conform if its size less U is beyond it. In "
-        "between, neither is proven."
+        "between, neither is proven. For positioning and straightness, U is widened by the waves that are too short "
+        "for the error model; tilts and rolls are judged without such waves."
     ),
     "budget_note": (
         "VCE: rms error that each influence leaves after compensation. Other columns: contribution to U (k = 2) of "

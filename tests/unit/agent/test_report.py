@@ -351,8 +351,13 @@ class TestDocument:
             7.9: "does not conform",
         }
         assert {tolerance: row.conformity(tolerance).value for tolerance in expected} == expected
+        with_waves = replace(row, waves=1.0)
+        assert [with_waves.conformity(one).value for one in (13.0, 12.9, 7.0, 6.9)] == [
+            *("conforms", "undecided"),
+            *("undecided", "does not conform"),
+        ]
         page = Page(render_report(replace(offline, document=stated())))
-        for words in ("conforms", "does not conform", "VCE with table, predicted"):
+        for words in ("conforms", "VCE with table, predicted", "the new table is not active"):
             assert words in page.text
         assert "ISO 14253-1" in " ".join(page.text)
 
@@ -371,6 +376,8 @@ class TestBudget:
         assert np.sqrt((values[:-1] ** 2).sum(axis=0)) == pytest.approx(values[-1], abs=0.03)
         stated_um = predicted_vce(estimate, evaluation_grid(RANGES), OFFSET).aligned_um
         rows = {row.name: row for row in error_rows(found)}
+        assert rows["EXX"].waves > 0.0
+        assert rows["EAX"].waves == rows["A0Z"].waves == 0.0
         total = dict(zip(table.heads[1:], values[-1].tolist(), strict=True))
         assert total["VCE / µm"] == pytest.approx(stated_um, abs=0.006)
         assert total["U(EXX) / µm"] == pytest.approx(rows["EXX"].expanded_uncertainty, abs=0.006)
