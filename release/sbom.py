@@ -3,7 +3,11 @@
     python -m release.sbom [--out dist]
 
 It lists the Python packages at their installed versions, Debian's packages that the package needs, and the node sets of
-the OPC Foundation, each with its licence, and which package needs which. The same commit gives the same bytes.
+the OPC Foundation, and which package needs which. The same commit gives the same bytes.
+
+Python packages have their licence and version, node sets their licence and hash. Debian's packages have neither licence
+nor version, since Debian delivers them and the computer of the installation determines them. Native libraries inside a
+wheel (such as the OpenBLAS of numpy) are not listed one by one; they belong to their Python package.
 """
 
 from __future__ import annotations

@@ -61,10 +61,14 @@ def verify(sums: Path, allowed_signers: Path) -> None:
 
 
 def allowed_signer(key: Path) -> str:
-    """Return the line of a file of allowed signers for the key in the file `key`, whose public part is beside it or in
-    it."""
-    beside = key.with_name(f"{key.name}.pub")
-    public = beside.read_text(encoding="utf-8") if beside.exists() else _ssh_keygen("-y", "-f", str(key), what=f"{key}")
+    """Return the line of a file of allowed signers for the key in the file `key`, which is the public part itself
+    (`.pub`), has it beside it or contains it. Raises ReleaseRefused if there is no public part."""
+    stated = key if key.suffix == ".pub" else key.with_name(f"{key.name}.pub")
+    if stated.exists():
+        _ssh_keygen("-l", "-f", str(stated), what=f"{stated} is not the public part of a key")
+        public = stated.read_text(encoding="utf-8")
+    else:
+        public = _ssh_keygen("-y", "-f", str(key), what=f"{key} has no public part")
     kind, content = public.split()[:2]
     return f'{SIGNER} namespaces="{NAMESPACE}" {kind} {content}\n'
 

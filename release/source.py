@@ -14,9 +14,10 @@ _GIT_PROGRAM, _GIT_LINK = "100755", "120000"
 
 
 def commit_time(root: Path) -> int:
-    """Return the UTC time of the last commit below `root` in s since 1970, or SOURCE_DATE_EPOCH if it is set."""
+    """Return the UTC time of the last commit below `root` in s since 1970, or SOURCE_DATE_EPOCH if it is set and not
+    empty."""
     given = os.environ.get("SOURCE_DATE_EPOCH")
-    if given is not None and not given.isdigit():
+    if given and not (given.isascii() and given.isdecimal()):
         raise ReleaseRefused(f"SOURCE_DATE_EPOCH is `{given}`; it must be a number of seconds since 1970")
     return int(given or git(root, "log", "-1", "--format=%ct"))
 

@@ -31,20 +31,25 @@ def last_latencies(state_directory: Path, machine: str, stated: TimingSettings) 
     journal cannot be read.
 
     Only runs count whose settings file stated the same section `timing`, which is `stated`. A person who changes it
-    afterwards knows better than a former run: what it has learned then no longer counts.
+    afterwards knows better than a former run: what it has learned then no longer counts. `relocation_minutes` is
+    compared only if the file states it, because its default was another one in former versions.
     """
+    unstated = {"relocation_minutes"} - stated.model_fields_set
+    expected = stated.model_dump(mode="json", exclude=unstated)
     for run in complete_runs(state_directory, machine):
         told = run.decision(OUTCOME).get("run_time")
         learned = _enough(LearnedLatency(**one) for one in told["latencies"]) if told else ()
-        if learned and _stated_timing(run) == stated.model_dump(mode="json"):
+        former = {name: value for name, value in _stated_timing(run).items() if name not in unstated}
+        if learned and former == expected:
             return LastLatencies(run.row.run_id, learned)
     return None
 
 
-def _stated_timing(run: CompleteRun) -> object:
+def _stated_timing(run: CompleteRun) -> Mapping[str, object]:
     """Return the section `timing` of the settings file of a run. Runs of versions without learned latencies have it in
     their settings."""
-    return run.decision(INPUTS).get("stated_timing") or run.settings.get("timing")
+    stated: Mapping[str, object] = run.decision(INPUTS).get("stated_timing") or run.settings.get("timing") or {}
+    return stated
 
 
 def _enough(latencies: Iterable[LearnedLatency]) -> tuple[LearnedLatency, ...]:

@@ -9,14 +9,15 @@ from pydantic import Field, PositiveFloat, StringConstraints, model_validator
 
 from twin.formats.toml_reading import StrictModel
 
-# printable characters of one line; neither control characters nor marks of the writing direction
+# printable characters of one line; neither control characters nor invisible ones (soft hyphen, zero width) nor marks of
+# the writing direction (U+061C is the Arabic one)
 Words = Annotated[
     str,
     StringConstraints(
         strip_whitespace=True,
         min_length=1,
         max_length=120,
-        pattern=r"^[^\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff]+$",
+        pattern=r"^[^\x00-\x1f\x7f-\x9f\xad\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff]+$",
     ),
 ]
 Tolerated = Annotated[str, Field(pattern=r"^(E[XYZABC][XYZ]|A0Z|B0Z|C0Y|VE|VCE)$")]

@@ -46,6 +46,8 @@ MOVES_ON = {S.ABORTING, S.ABORTED, S.FAULTED}
 SETTLING = {"restore_former", "give_up"}
 STANDING_MM = 1e-6
 LONGEST_PASS = 400
+DEFLECTED = "the probe is deflected"
+"""Words with which a touch, a move or the check of the probe is refused while the tip stands on a ball."""
 
 
 @dataclass
@@ -238,11 +240,12 @@ class RequestTrial:
         # A start first takes back an unproved table; the status shows what the last comparison has found.
         restored_first = self._status.unproved is not None and not self._running and not self._closed
         excused = may_be_refused or restored_first
+        deflected = self.scene.probe_deflected  # before the run can move the axes
         if not self._ask(name, begin, offered, excused=excused):
             return False
         self._runs += 1
         self._running, self.scene.aborted = True, False
-        self._began_deflected = self.scene.probe_deflected  # a run rightly refuses to move such a probe
+        self._began_deflected = deflected
         self._hindered = self.scene.link.cut or self.scene.refuses_activation
         self._answered = self._unattended = False
         if self.scene.table not in self._proved and name != "resume_run":  # which proves the table
@@ -292,13 +295,17 @@ class RequestTrial:
             self._violated(f"table {scene.table} is active after {status.state.value} without a proof")
         if status.state in {S.ABORTED, S.FAULTED, S.REFUSED} and not status.alarms:
             self._violated(f"{status.state.value} without a cause")
-        excused = self._hindered or self._closed or self._unattended or self._began_deflected
+        excused = self._hindered or self._closed or self._unattended or self._refused_to_press(status)
         if status.state is S.FAULTED and not excused:
             self._violated(f"{status.kind} faulted on a sound machine: {status.alarms[0].text}")
         scene.world.advance_to(scene.world.now + SETTLE_S)
         moved = max(abs(now - then) for now, then in zip(scene.position_mm, place, strict=True))
         if moved > STANDING_MM and not self._hindered:
             self._violated(f"the axes moved by {moved:g} mm after the end {status.state.value}")
+
+    def _refused_to_press(self, status: Status) -> bool:
+        """Return True if the run began with a deflected probe, which it rightly refuses to move, and ended for that."""
+        return self._began_deflected and any(DEFLECTED in alarm.text for alarm in status.alarms)
 
     def _prove(self, status: Status) -> None:
         """Add the active table to the proved ones if the journal proves it."""

@@ -185,10 +185,22 @@ def test_state_result_and_alerts_follow_the_run(world):
     asyncio.run(scene())
 
 
+WRONG_ARGUMENTS = (
+    ua.Variant([1], ua.VariantType.UInt32),
+    ua.Variant("1", ua.VariantType.String),
+    ua.Variant(1.0, ua.VariantType.Double),
+    ua.Variant(True, ua.VariantType.Boolean),
+    ua.Variant(),
+)
+"""Values that are no number of a subscription."""
+
+
 @pytest.mark.parametrize(
     "method", [ua.ObjectIds.ConditionType_ConditionRefresh, ua.ObjectIds.ConditionType_ConditionRefresh2]
 )
 def test_open_alarms_are_sent_only_to_a_subscription_of_the_session_that_asks(world, method):
+    expected = 1 if method == ua.ObjectIds.ConditionType_ConditionRefresh else 2
+
     async def scene() -> None:
         world.control.fault()
         async with world.connected() as client, world.connected() as other:
@@ -208,8 +220,7 @@ def test_open_alarms_are_sent_only_to_a_subscription_of_the_session_that_asks(wo
 
             async def refresh(asking, number: int) -> None:
                 node = asking.get_node(ua.NodeId(ua.Int32(method)))
-                numbers = [number] if method == ua.ObjectIds.ConditionType_ConditionRefresh else [number, item]
-                arguments = [ua.Variant(one, ua.VariantType.UInt32) for one in numbers]
+                arguments = [ua.Variant(one, ua.VariantType.UInt32) for one in (number, item)[:expected]]
                 await asking.get_node(ua.ObjectIds.ConditionType).call_method(node, *arguments)
 
             with pytest.raises(ua.UaStatusCodeError) as caught:
@@ -223,6 +234,18 @@ def test_open_alarms_are_sent_only_to_a_subscription_of_the_session_that_asks(wo
                     client.get_node(ua.NodeId(ua.Int32(method)))
                 )
             assert caught.value.code == ua.StatusCodes.BadArgumentsMissing
+            own = ua.Variant(subscription.subscription_id, ua.VariantType.UInt32)
+            requests = [
+                ua.CallMethodRequest(
+                    ua.NodeId(ua.Int32(ua.ObjectIds.ConditionType)), ua.NodeId(ua.Int32(method)), given
+                )
+                for given in ([wrong, own][:expected] for wrong in WRONG_ARGUMENTS)
+            ]
+            # no request of a call hinders the others
+            for answer in await client.uaclient.call(requests):
+                assert answer.StatusCode.value == ua.StatusCodes.BadInvalidArgument
+                codes = [one.value for one in answer.InputArgumentResults]
+                assert codes == [ua.StatusCodes.BadTypeMismatch, ua.StatusCodes.Good][:expected]
             assert heard.empty()
             await refresh(client, subscription.subscription_id)
             event = await asyncio.wait_for(heard.get(), WITHIN_S)

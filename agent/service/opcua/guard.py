@@ -32,11 +32,12 @@ between two calls of `make_room`."""
 ACTIVATE_WITHIN_S: Final = 10.0
 OPERATOR: Final = "operator"
 ANONYMOUS: Final = "anonymous"
-REFRESHES: Final = frozenset(
-    ua.NodeId(ua.Int32(method))
-    for method in (ua.ObjectIds.ConditionType_ConditionRefresh, ua.ObjectIds.ConditionType_ConditionRefresh2)
-)
-"""Methods with which a client asks for the alarms that are open; asyncua carries them out."""
+REFRESHES: Final[Mapping[ua.NodeId, int]] = {
+    ua.NodeId(ua.Int32(ua.ObjectIds.ConditionType_ConditionRefresh)): 1,
+    ua.NodeId(ua.Int32(ua.ObjectIds.ConditionType_ConditionRefresh2)): 2,
+}
+"""Methods with which a client asks for the alarms that are open, with the number of their arguments, all of them
+integers; asyncua carries them out."""
 log = structlog.get_logger()
 
 
@@ -118,25 +119,37 @@ class GuardedSession(InternalSession):
         if not free and self.user.name != OPERATOR:
             log.warning("OPC UA method refused", user=self.user.name, method=str(request.MethodId))
             return refusal_result(StatusCodes.BadUserAccessDenied)
-        if request.MethodId in REFRESHES and (code := self._refresh_refusal(request)) is not None:
+        if request.MethodId in REFRESHES and (refusal := self._refresh_refusal(request)) is not None:
             log.warning("OPC UA condition refresh refused", user=self.user.name)
-            return refusal_result(code)
+            return refusal
         (result,) = await super().call([request])
         return result
 
-    def _refresh_refusal(self, request: ua.CallMethodRequest) -> int | None:
-        """Return the status code with which a ConditionRefresh is refused, or None if it may be carried out.
+    def _refresh_refusal(self, request: ua.CallMethodRequest) -> ua.CallMethodResult | None:
+        """Return the result with which a ConditionRefresh is refused, or None if it may be carried out.
 
         A session may refresh only its own subscriptions (OPC 10000-9:2025, 5.5.7). asyncua knows each subscription by a
         small number and refreshes it for anybody, so one client could send events to another.
         """
-        arguments = request.InputArguments or []
-        if not arguments:
-            return int(StatusCodes.BadArgumentsMissing)
+        arguments, count = request.InputArguments or [], REFRESHES[request.MethodId]
+        if len(arguments) != count:
+            few = len(arguments) < count
+            return refusal_result(StatusCodes.BadArgumentsMissing if few else StatusCodes.BadTooManyArguments)
+        mismatched = [not _is_integer(argument.Value) for argument in arguments]
+        if any(mismatched):
+            refusal = refusal_result(StatusCodes.BadInvalidArgument)
+            codes = [StatusCodes.BadTypeMismatch if wrong else StatusCodes.Good for wrong in mismatched]
+            refusal.InputArgumentResults = [ua.StatusCode(ua.UInt32(code)) for code in codes]
+            return refusal
         subscription = self.subscription_service.subscriptions.get(arguments[0].Value)
         if subscription is None:
-            return int(StatusCodes.BadSubscriptionIdInvalid)
-        return None if subscription.session_id == self.session_id else int(StatusCodes.BadUserAccessDenied)
+            return refusal_result(StatusCodes.BadSubscriptionIdInvalid)
+        is_own = subscription.session_id == self.session_id
+        return None if is_own else refusal_result(StatusCodes.BadUserAccessDenied)
+
+
+def _is_integer(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
 
 
 REFRESH_SEVERITY = 1

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from threading import Lock
+from threading import BoundedSemaphore, Lock
 from typing import Any, TypeVar
 
 import numpy as np
@@ -30,6 +30,9 @@ K = TypeVar("K")
 V = TypeVar("V")
 MAX_CACHED = 16
 MAX_FIELDS = 4
+MAX_COMPUTED_AT_ONCE = 2
+"""Number of runs whose results are computed at the same time. Further ones wait, so that requests for many runs neither
+take all processors from a run in progress nor fill the memory."""
 
 
 class RunLocks:
@@ -67,11 +70,13 @@ class ResultCache:
     """Cache of the results of the runs that were requested last. It is safe to use from any thread.
 
     Each result is computed under the lock of its run, and the lock of the cache is held only to look up and to store.
+    At most MAX_COMPUTED_AT_ONCE results are computed at the same time.
     """
 
     def __init__(self) -> None:
         self.run_locks = RunLocks()
         self._lock = Lock()
+        self._computing = BoundedSemaphore(MAX_COMPUTED_AT_ONCE)
         self._cached: dict[tuple[str, str, str], Document] = {}
         self._fields: dict[tuple[str, str], tuple[IdentificationData, ErrorField]] = {}
 
@@ -84,7 +89,8 @@ class ResultCache:
         `at_mm` the position on it, by default the middle of the travel. Raise InputError if the run has no estimate.
         """
         axis = AXES.index(normal.upper())
-        with self.run_locks.locked(directory, run_id):  # a field computes its parts when they are first asked for
+        # a field computes its parts when they are first asked for
+        with self.run_locks.locked(directory, run_id), self._computing:
             identification, field = self._field_of(directory, run_id)
             low, high = field.ranges_mm[axis]
             plane = field.plane(axis, (low + high) / 2 if at_mm is None else at_mm)
@@ -126,9 +132,10 @@ class ResultCache:
             with self._lock:
                 if key in self._cached:
                     return self._cached[key]
-            record = read_record(directory, run_id)
-            data = report_of(record)
-            document = make(data, _identified(data, run_id))
+            with self._computing:
+                record = read_record(directory, run_id)
+                data = report_of(record)
+                document = make(data, _identified(data, run_id))
             if record.ended is not None:
                 self._keep(self._cached, key, document, MAX_CACHED)
             return document

@@ -19,6 +19,7 @@ from agent.runs.kinds.calibrate import FullCalibration
 from agent.runs.last_latencies import with_learned_latencies
 from agent.runs.origin import origin_record, read_origin
 from agent.runs.planned_run import StartConditions
+from agent.settings.schema import TimingSettings
 from drivers.clock import VirtualClock
 
 BASE = CASE_STUDY.parent
@@ -67,6 +68,17 @@ def test_timing_that_is_changed_after_a_run_is_believed_until_a_run_is_complete_
     complete(changed, "two", 0.02)
     assert learned(changed) == ("two", 0.02)
     assert learned(job) == ("one", 0.2)
+
+
+def test_another_default_of_the_minutes_for_carrying_does_not_hide_former_runs(job: Job) -> None:
+    stated = job.settings.timing.model_dump()
+    del stated["relocation_minutes"]
+    unstated = replace(job, settings=job.settings.model_copy(update={"timing": TimingSettings.model_validate(stated)}))
+    complete(with_timing(job, relocation_minutes=0.0), "one", 0.2)
+    assert learned(unstated) == ("one", 0.2)
+    assert learned(with_timing(job, relocation_minutes=0.0)) == ("one", 0.2)
+    assert learned(with_timing(job, relocation_minutes=7.0))[0] == ""
+    assert learned(with_timing(unstated, turn_latency_s=7.0))[0] == ""
 
 
 def test_a_run_of_a_version_without_learned_latencies_has_stated_what_its_settings_say(job: Job) -> None:

@@ -324,6 +324,12 @@ class TestDocument:
         assert english.count("the calibration was due on") == 1
         assert not re.search(r"Statement|not stated|nicht stated|conforms", german)
 
+    @pytest.mark.parametrize("mark", ["\u00ad", "\u061c", "\u200e", "\u202e", "\u2066", "\ufeff"])
+    def test_invisible_characters_and_marks_of_the_writing_direction_are_refused(self, mark: str) -> None:
+        with pytest.raises(FormatError) as refused:
+            stated(customer=f"Prior{mark} & Sons")
+        assert refused.value.where["key"] == "customer"
+
     @pytest.mark.parametrize(
         ("changes", "key"),
         [

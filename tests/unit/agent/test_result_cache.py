@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from threading import Event
+from threading import Barrier, Event, Lock
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from agent.service.page import result_cache
-from agent.service.page.result_cache import ResultCache, RunLocks
+from agent.service.page.result_cache import MAX_COMPUTED_AT_ONCE, ResultCache, RunLocks
 
 PATIENCE_S = 60.0
 HERE = Path("state")
@@ -59,6 +59,29 @@ def test_a_run_in_progress_is_computed_each_time(monkeypatch: pytest.MonkeyPatch
     for _ in range(2):
         cache.curves(HERE, "now")
     assert runs.read == ["now", "now"]
+
+
+def test_no_more_results_are_computed_at_once_than_permitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    cache, lock, inside, most = ResultCache(), Lock(), 0, 0
+    together = Barrier(MAX_COMPUTED_AT_ONCE)
+
+    def curves(_: object, identification: str) -> dict[str, str]:
+        nonlocal inside, most
+        with lock:
+            inside += 1
+            most = max(most, inside)
+        together.wait(PATIENCE_S)
+        with lock:
+            inside -= 1
+        return {"of": identification}
+
+    SlowRuns().install(monkeypatch)
+    monkeypatch.setattr(result_cache, "_curves", curves)
+    run_ids = [f"r-{number}" for number in range(5 * MAX_COMPUTED_AT_ONCE)]
+    with ThreadPoolExecutor(len(run_ids)) as threads:
+        waiting = [threads.submit(cache.curves, HERE, run_id) for run_id in run_ids]
+        assert [one.result(PATIENCE_S)["of"] for one in waiting] == run_ids
+    assert most == MAX_COMPUTED_AT_ONCE
 
 
 def test_an_error_frees_the_lock_of_its_run() -> None:

@@ -113,6 +113,17 @@ def test_the_public_part_is_read_from_the_key_if_there_is_no_file_of_it(key: Pat
     assert with_file.startswith('volcal namespaces="volcal-release" ssh-ed25519 ')
 
 
+def test_a_key_that_is_given_by_its_public_part_is_its_own_signer(key: Path) -> None:
+    assert allowed_signer(key.with_name("key.pub")) == allowed_signer(key)
+
+
+@pytest.mark.parametrize("text", ["", "no", "no key"])
+def test_a_file_that_is_no_public_part_is_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "none.pub").write_text(text)
+    with pytest.raises(ReleaseRefused, match=r"none\.pub is not the public part of a key"):
+        allowed_signer(tmp_path / "none.pub")
+
+
 def test_a_key_in_the_checkout_is_refused(key: Path, tmp_path: Path) -> None:
     require_key_outside(key, tmp_path / "checkout")
     with pytest.raises(ReleaseRefused, match="lies in the checkout"):
