@@ -19,7 +19,7 @@ from twin.units import UM_PER_MM
 
 @dataclass(frozen=True)
 class ErrorMeasure:
-    """ErrorMeasure of a volumetric error: how much of the rigid motion of the workspace it contains.
+    """Measure of a volumetric error: how much of the rigid motion of the workspace it contains.
 
     `key` names it in tables and summaries, and `title` in figures.
     """

@@ -210,3 +210,19 @@ def test_a_bad_request_is_refused_with_its_key(request_: dict[str, object], key:
     with pytest.raises(InputError) as refused:
         VirtualInstruments(SharedWorld(ideal_world())).measure(request_)
     assert refused.value.where["key"] == key
+
+
+def test_the_second_line_of_a_squareness_is_measured_after_the_first() -> None:
+    instants: list[np.ndarray] = []
+
+    def still(path: np.ndarray, at_s: np.ndarray) -> np.ndarray:
+        instants.append(at_s)
+        return np.zeros_like(path)
+
+    found = measure_squareness(
+        MachineUnderTest(still, NO_ERRORS, lambda _: 21.0, now_s=100.0), (ALONG_X, ALONG_Y), (0, 1), 1
+    )
+    first, second = instants
+    assert first[0] > 100.0
+    assert second[0] > first[-1]
+    assert found.duration_s == pytest.approx(second[-1] - 100.0)
