@@ -19,7 +19,7 @@ from twin.units import UM_PER_MM
 
 @dataclass(frozen=True)
 class ErrorMeasure:
-    """ErrorMeasure of a volumetric error: how much of the rigid motion of the workspace it contains.
+    """Measure of a volumetric error: how much of the rigid motion of the workspace it contains.
 
     `key` names it in tables and summaries, and `title` in figures.
     """
@@ -32,7 +32,7 @@ class ErrorMeasure:
         if verdict.expected is None:
             return None
         if self.key == "work_frame":
-            return UM_PER_MM * verdict.in_work_frame_mm
+            return None if verdict.in_work_frame_mm is None else UM_PER_MM * verdict.in_work_frame_mm
         return self.of(verdict.expected)
 
     def of(self, error: VolumetricRms | None) -> float | None:

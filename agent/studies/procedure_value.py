@@ -56,14 +56,15 @@ class Verdict:
     measurements do not identify the machine. `simulated` is the rms VCE of `machines` simulated machines, and
     `standard_error` is the standard error of this rms value. `simulated` and `standard_error` are None if the procedure
     was not simulated. `in_work_frame_mm` is the counterpart of `expected` for a workpiece that is set up in the middle
-    of the travel (`twin.uncertainty.work_frame`); it is 0 if `expected` is None.
+    of the travel (`twin.uncertainty.work_frame`); it is None if that was not computed or if
+    `expected` is None.
     """
 
     expected: VolumetricRms | None
     simulated: VolumetricRms | None = None
     standard_error: VolumetricRms | None = None
     machines: int = 0
-    in_work_frame_mm: float = 0.0
+    in_work_frame_mm: float | None = None
 
     def with_simulation(self, spread: ErrorSample | None) -> Verdict:
         """Return the verdict with simulation results added. `spread` contains the volumetric error after compensation

@@ -29,6 +29,10 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 Cell = str | int | float | bool | None
 
+NAME_COLUMNS = ("machine_name", "artefact_name")
+"""Last columns of the table of each study."""
+_FACTS_OF_MACHINE = ("machine", "artefact", "balls", "stations")
+
 Progress = Callable[[str, int, int], None]
 """Callback that takes the current activity, the number of finished items, and the total number of items."""
 
@@ -141,7 +145,9 @@ class StudyResult:
 
     `columns` (the names with units) and `rows` form a table. `summary` contains values that `agent.studies.study_files`
     can write as JSON. `draw` is a function that draws the result on an empty figure of `size_in` inches, in the style
-    of `agent.figures.style`.
+    of `agent.figures.style`. `subjects` are pairs of the names of a machine and its artefact if the study itself
+    chooses its machines; its rows then end with `NAME_COLUMNS`. It is empty if the result holds for the machine of the
+    case.
     """
 
     name: str
@@ -151,19 +157,29 @@ class StudyResult:
     summary: Mapping[str, object]
     draw: Draw
     size_in: tuple[float, float] = (7.0, 4.2)
+    subjects: tuple[tuple[str, str], ...] = ()
 
 
 def run_study(name: str, case: StudyCase) -> StudyResult:
     """Run the study called `name` and return its result, with the conditions of `case` added to the summary.
 
-    The names of the machine and the artefact also head the figure and are the last two columns of the table.
+    The names of the machine and the artefact also head the figure and are the last two columns of the table. A study
+    that chooses its machines names each of them instead.
     """
     module, _, attribute = STUDIES[name].partition(":")
     run: Callable[[StudyCase], StudyResult] = getattr(import_module(module), attribute)
     result = run(case)
+    if result.subjects:
+        common = {name: value for name, value in case.facts.items() if name not in _FACTS_OF_MACHINE}
+        named = [{"machine": machine, "artefact": artefact} for machine, artefact in result.subjects]
+        return replace(
+            result,
+            summary={**common, "subjects": named, **result.summary},
+            draw=headed(result.draw, "; ".join(subject(*names) for names in result.subjects)),
+        )
     return replace(
         result,
-        columns=(*result.columns, "machine_name", "artefact_name"),
+        columns=(*result.columns, *NAME_COLUMNS),
         rows=[(*row, case.machine.name, case.artefact.name) for row in result.rows],
         summary={**case.facts, **result.summary},
         draw=headed(result.draw, subject(case.machine.name, case.artefact.name)),

@@ -75,7 +75,9 @@ def _draw_line(axes: Axes, one: PredictedTest, measured: Sequence[MeasuredFigure
 def _draw_circle(axes: Axes, one: PredictedTest, measured: Sequence[MeasuredFigure]) -> None:
     """Draw deviations from the nominal circle, which is shown smaller so that they can be seen."""
     expanded = UM_PER_MM * one.expanded_mm
-    largest = max(float(np.abs(curve).max()) for curve, *_ in _curves(one)) + float(expanded.max())
+    predicted_um = max(float(np.abs(curve).max()) for curve, *_ in _curves(one)) + float(expanded.max())
+    # a machine that contradicts its estimate must not leave the picture
+    largest = max(predicted_um, *(float(np.abs(each.curve_um).max()) for each in measured), 0.0)
     radius = _CIRCLE_ROOM * largest
     angles = np.append(one.test.along, one.test.along[0] + 2.0 * np.pi)
     for curve, colour, label in _curves(one):

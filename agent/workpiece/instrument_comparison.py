@@ -6,7 +6,7 @@ instrument evaluates its readings itself.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from agent.workpiece.predicted_tests import PredictedTests
 from twin.arrays import Array
+from twin.machine.kinematic_chain import AXES
 from twin.units import UM_PER_MM
 from twin.workpiece.acceptance import AcceptanceTest, PredictedTest
 from twin.workpiece.agreement import agrees, en_score
@@ -158,7 +159,7 @@ def instrument_request(test: AcceptanceTest, tool_offset_mm: Array) -> dict[str,
                 "plane": plane,
             }
         case "ISO 230-1", ("squareness", second, _, first):
-            lines = list(_lines(positions))
+            lines = _lines(positions, AXES.index(first))
             return {
                 "do": "squareness",
                 "lines_mm": [[line[0].tolist(), line[-1].tolist()] for line in lines],
@@ -175,11 +176,11 @@ def _ends(positions: Array) -> dict[str, Any]:
     return {"from_mm": positions[0].tolist(), "to_mm": positions[-1].tolist(), "targets": len(positions)}
 
 
-def _lines(positions: Array) -> Iterator[Array]:
-    """Yield the two lines of a squareness. The second one begins where a second axis moves for the first time."""
-    start = int(np.argmax(np.count_nonzero(positions != positions[0], axis=1) > 1))
-    yield positions[:start]
-    yield positions[start:]
+def _lines(positions: Array, first: int) -> tuple[Array, Array]:
+    """Return the two lines of a squareness. The axis number `first` moves upwards along the whole of the first line;
+    the second one begins where it does so no longer, even if the lines meet at their ends."""
+    start = 1 + int(np.argmax(np.diff(positions[:, first]) <= 0.0))
+    return positions[:start], positions[start:]
 
 
 def _measured(test: AcceptanceTest, answer: Mapping[str, Any]) -> MeasuredFigure:

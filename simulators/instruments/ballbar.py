@@ -75,13 +75,14 @@ class Circle:
 
 @dataclass(frozen=True, eq=False)
 class CircularTest:
-    """Figures of a circular test, in mm, as ISO 230-4:2022 defines them, from the least-squares centre of the path.
+    """Figures of a circular test, in mm, from the least-squares centre of the path.
 
     `clockwise` and `counter_clockwise` (n,) are the radial deviations of the mean path of each direction at `angles`
     (n,) in rad. `mean` (m,) at `mean_angles` (m,) are those of the mean of both outside the reversals, which lost
-    motion does not enlarge. The circular deviations G are those of each path, of both together (bidirectional) and of
-    the mean, `hysteresis` is H. `radius` is the mean radius minus the nominal one. Those that end with `_u` are
-    standard uncertainties.
+    motion does not enlarge. The circular deviations G of each path and of both together (bidirectional) and the
+    `hysteresis` H are those of ISO 230-4:2022. `g_mean` is a figure of our own, not one of the standard: the range of
+    `mean`, to be compared with a prediction that contains no lost motion. `radius` is the mean radius minus the nominal
+    one. Those that end with `_u` are standard uncertainties.
     """
 
     angles: Array

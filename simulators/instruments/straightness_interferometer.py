@@ -7,7 +7,7 @@ measured against the same optics, turned by an optical square whose angle is not
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -107,7 +107,8 @@ def measure_squareness(
     square = 1e-6 * quality.square_urad * rng.standard_normal()
     first = _read(machine, lines[0], axes[1], alignment, quality, rng)
     # Both beams turn together: what appears as a slope upwards on the first line is one downwards on the second.
-    second = _read(machine, lines[1], axes[0], square - alignment, quality, rng)
+    later = replace(machine, now_s=machine.now_s + first.duration_s)
+    second = _read(later, lines[1], axes[0], square - alignment, quality, rng)
     both = np.concatenate((first.mean, second.mean))
 
     def angle(readings: Array) -> Array:

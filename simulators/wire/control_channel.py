@@ -18,6 +18,7 @@ from drivers.errors import InputError, VolcalError
 from drivers.roles import MotionState, Permission, TableImage, Vector
 from simulators.scenario import Misplacement
 from simulators.wire.instrument_requests import INSTRUMENT_KEYS
+from simulators.wire.request_values import number
 from simulators.wire.shared_world import SharedWorld, TimeDriven
 from simulators.wire.tcp_server import TcpServer, serve_lines
 from twin.machine.kinematic_chain import AXES
@@ -169,11 +170,11 @@ class ControlServer:
     def _place_by_hand(self, request: Answer) -> Answer:
         """Place the artefact by hand. `off_mm` and `off_deg` displace it grossly; without them, it has only the errors
         of the hand that the scenario states."""
-        station, angles_deg = _station(request), (_number(request, "azimuth_deg"), _number(request, "elevation_deg"))
-        off_mm, off_deg = request.get("off_mm", [0.0, 0.0, 0.0]), _number(request, "off_deg")
+        station, angles_deg = _station(request), (_angle(request, "azimuth_deg"), _angle(request, "elevation_deg"))
+        off_mm, off_deg = request.get("off_mm", [0.0, 0.0, 0.0]), _angle(request, "off_deg")
         if not (isinstance(off_mm, list) and len(off_mm) == 3):
             raise InputError(f"off_mm must be three numbers, got {off_mm!r}", key="off_mm")
-        x, y, z = (_number({"off_mm": value}, "off_mm") for value in off_mm)
+        x, y, z = (number(value, "off_mm") for value in off_mm)
         stated = {"off_mm", "off_deg"} & set(request)
         gross = Misplacement(placement=1, off_mm=(x, y, z), off_deg=off_deg) if stated else None
         self._shared.world.place_by_hand(station, *angles_deg, gross)
@@ -199,12 +200,11 @@ class ControlServer:
 
     def _jog(self, request: Answer) -> Answer:
         """Move one axis, as a person does at the controller's own panel."""
-        axis, distance = request.get("axis"), request.get("distance_mm")
+        axis = request.get("axis")
         if axis not in AXES:
             raise InputError(f"axis must be X, Y or Z, got {axis!r}", key="axis")
-        if not isinstance(distance, int | float) or isinstance(distance, bool) or not math.isfinite(distance):
-            raise InputError(f"distance_mm must be a number, got {distance!r}", key="distance_mm")
-        self._shared.world.controller.begin_jog(AXES.index(axis), float(distance))
+        distance = number(request.get("distance_mm"), "distance_mm")
+        self._shared.world.controller.begin_jog(AXES.index(axis), distance)
         log.info("jog", axis=axis, distance_mm=distance, machine_time_s=self._shared.now)
         return {"done": "jog", "axis": axis, "distance_mm": distance}
 
@@ -263,11 +263,8 @@ def _station(request: Answer) -> int:
     return station
 
 
-def _number(request: Answer, key: str) -> float:
-    value = request.get(key, 0.0)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise InputError(f"{key} must be a number, got {value!r}", key=key)
-    return float(value)
+def _angle(request: Answer, key: str) -> float:
+    return number(request.get(key, 0.0), key)
 
 
 def _parse(line: bytes) -> Answer:

@@ -6,8 +6,7 @@ with the standard uncertainty that the instrument states for it.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -22,6 +21,7 @@ from simulators.instruments.straightness_interferometer import (
     measure_straightness,
 )
 from simulators.instruments.target_line import TargetLine
+from simulators.wire.request_values import number
 from simulators.wire.shared_world import SharedWorld
 from simulators.world.world import World
 from twin.arrays import Array
@@ -39,6 +39,10 @@ INSTRUMENT_KEYS: Mapping[str, tuple[str, ...]] = {
 _DIGITS = 4
 _URAD_PER_RAD = 1e6
 _TARGETS, _RUNS, _REVOLUTIONS = 11, 5, 3
+_BEYOND_MM = 10.0
+"""Way beyond the travel that a request may state. Farther out, the errors are extrapolated, not those of a machine."""
+_SKEW = 0.01
+"""Largest sine of the angle in rad between a line and the axis along which it must run."""
 
 
 class VirtualInstruments:
@@ -51,6 +55,7 @@ class VirtualInstruments:
         """Return the answer to a request. Raises InputError if the request is invalid."""
         with self._shared.lock:
             machine = machine_of_world(self._shared.world, _integer(request, "bank", 0), _seed(request))
+            _require_within_travel(request, self._shared.world)
             return answer_of(machine, request)
 
 
@@ -62,17 +67,48 @@ def answer_of(machine: MachineUnderTest, request: Answer) -> Answer:
             return _line_answer(measure_line(machine, _line(request), seed))
         case "straightness":
             across = _axis(request.get("across"), "across")
-            return _straightness_answer(measure_straightness(machine, _line(request), across, seed))
+            line = _line(request)
+            if abs(line.direction[across]) > _SKEW:
+                raise InputError("straightness is measured across its line, not along it", key="across")
+            return _straightness_answer(measure_straightness(machine, line, across, seed))
         case "squareness":
             return _squareness(machine, request, seed)
         case _:
             circle = Circle(
                 _point(request.get("centre_mm"), "centre_mm"),
-                _real(request.get("radius_mm"), "radius_mm"),
+                number(request.get("radius_mm"), "radius_mm"),
                 _plane(request),
                 _integer(request, "runs", _REVOLUTIONS),
             )
             return _circle_answer(measure_circle(machine, circle, seed))
+
+
+def _require_within_travel(request: Answer, world: World) -> None:
+    """Raise InputError if a position of the request is far outside the travel, or is none."""
+    limits = world.controller.limits()
+    low, high = np.array(limits.lower_mm) - _BEYOND_MM, np.array(limits.upper_mm) + _BEYOND_MM
+    for key, point in _positions(request):
+        if (point < low).any() or (point > high).any():
+            travel = ", ".join(
+                f"{name} {lowest:g} to {highest:g}"
+                for name, lowest, highest in zip(AXES, limits.lower_mm, limits.upper_mm, strict=True)
+            )
+            raise InputError(f"{key} leaves the travel of the machine", hint=f"in mm: {travel}", key=key)
+
+
+def _positions(request: Answer) -> Iterator[tuple[str, Array]]:
+    """Yield the positions (3,) in mm of a request with their keys."""
+    match request:
+        case {"do": "squareness", "lines_mm": [[*first], [*second]]}:
+            yield from (("lines_mm", _point(end, "lines_mm")) for end in (*first, *second))
+        case {"do": "ballbar"}:
+            centre = _point(request.get("centre_mm"), "centre_mm")
+            yield "centre_mm", centre
+            radial = np.zeros(3)
+            radial[list(_plane(request))] = number(request.get("radius_mm"), "radius_mm")
+            yield from (("radius_mm", centre + sign * radial) for sign in (-1.0, 1.0))
+        case {"do": "interferometer" | "straightness"}:
+            yield from ((key, _point(request.get(key), key)) for key in ("from_mm", "to_mm"))
 
 
 def _seed(request: Answer) -> int:
@@ -90,7 +126,15 @@ def _squareness(machine: MachineUnderTest, request: Answer, seed: int) -> Answer
         _line({**request, "from_mm": start, "to_mm": end, "targets": count}, "lines_mm")
         for (start, end), count in zip(ends, targets, strict=True)
     )
-    found = measure_squareness(machine, (first, second), _plane(request), seed)
+    axes = _plane(request)
+    for line, axis in zip((first, second), axes, strict=True):
+        if np.linalg.norm(line.direction - np.eye(3)[axis]) > _SKEW:
+            raise InputError(
+                f"the lines of a squareness run upwards along the axes of its plane, the first along {AXES[axes[0]]} "
+                f"and the second along {AXES[axes[1]]}",
+                key="lines_mm",
+            )
+    found = measure_squareness(machine, (first, second), axes, seed)
     return {
         "squareness_urad": round(_URAD_PER_RAD * found.angle_rad, _DIGITS),
         "squareness_u_urad": round(_URAD_PER_RAD * found.angle_u_rad, _DIGITS),
@@ -158,13 +202,7 @@ def _line(request: Answer, key: str = "") -> TargetLine:
 def _point(value: Any, key: str) -> Array:
     if not (isinstance(value, list) and len(value) == 3):
         raise InputError(f"{key} must be three numbers, got {value!r}", key=key)
-    return np.array([_real(one, key) for one in value])
-
-
-def _real(value: Any, key: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(f"{key} must be a number, got {value!r}", key=key)
-    return float(value)
+    return np.array([number(one, key) for one in value])
 
 
 def _integer(request: Answer, key: str, default: int) -> int:

@@ -4,6 +4,7 @@ with what virtual instruments measure on the simulated machine."""
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import click
@@ -13,14 +14,53 @@ from agent.cli.printing import columns_table, results_console
 from agent.cli.run_commands.simulator_process import SimulatorProcess
 from agent.errors import MeasurementFault
 from agent.files import write_all_atomically
+from agent.printable import printable
 from agent.results.run_outcome import Outcome
 from agent.settings.schema import Settings
 from agent.workpiece.instrument_comparison import ComparedFigure, InstrumentComparison, compare_with_instruments
 from agent.workpiece.predicted_tests import AcceptanceRequest, predict_acceptance
+from drivers.errors import VolcalError
 from twin.units import UM_PER_MM
 
 NAME = "cross-check"
 _HEADINGS = ("standard", "figure", "table", "predicted / µm", "U (k = 2)", "measured / µm", "U (k = 2) ", "En", "")
+
+
+@dataclass(frozen=True, eq=False)
+class CrossCheck:
+    """Cross-check that was attempted after a run. `compared` is None if the run has no estimate, or if the cross-check
+    failed with `error`."""
+
+    compared: InstrumentComparison | None = None
+    error: VolcalError | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the keys of the cross-check in the document of the run."""
+        document: dict[str, Any] = {"cross_check": None if self.compared is None else self.compared.as_json()}
+        return document if self.error is None else {**document, "cross_check_error": str(self.error)}
+
+    def show(self) -> None:
+        """Print the comparison, or why there is none."""
+        if self.compared is not None:
+            show_comparison(self.compared)
+        if self.error is not None:
+            results_console().print(f"no cross-check: {printable(str(self.error))}", markup=False)
+
+    def conclude(self) -> None:
+        """Print an error and end the program if the cross-check failed, or contradicts the prediction."""
+        if self.error is not None:
+            raise fail(self.error)
+        if self.compared is not None:
+            require_agreement(self.compared)
+
+
+def attempt(outcome: Outcome, settings: Settings, simulator: SimulatorProcess, *, in_controller: bool) -> CrossCheck:
+    """Cross-check a run that has ended, as `cross_checked` does. The result of the run is worth printing even if this
+    fails, so an error is returned."""
+    try:
+        return CrossCheck(cross_checked(outcome, settings, simulator, in_controller=in_controller))
+    except VolcalError as error:
+        return CrossCheck(error=error)
 
 
 def cross_checked(

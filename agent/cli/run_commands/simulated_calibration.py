@@ -12,7 +12,7 @@ from typing import Any, Self
 import click
 
 from agent.cli.printing import columns_table, results_console
-from agent.cli.run_commands.cross_check import cross_checked, require_agreement, show_comparison
+from agent.cli.run_commands.cross_check import attempt
 from agent.cli.run_commands.local_run import calibrate_here, conclude
 from agent.cli.run_commands.run_summary import show_summary
 from agent.cli.run_commands.sequential_options import ALL_POSITIONS, SequentialOptions
@@ -106,8 +106,9 @@ def calibrate_simulated(
 
     `config` is the file of the settings, `case` the name of the shipped case to which it belongs, and `out` the state
     directory of the run. `end` says whether the positions are chosen one after the other. With `cross_check`, virtual
-    instruments then measure the figures of acceptance tests that the estimate predicts. Raises SystemExit if the new
-    table is not active at the end, or if prediction and instruments contradict each other.
+    instruments then measure the figures of acceptance tests that the estimate predicts. The result is printed even if
+    this fails. Raises SystemExit afterwards if it failed, if the new table is not active, or if prediction and
+    instruments contradict each other.
     """
     demonstrated = Demonstrated.of(settings, case)
     bus = None if settings.stations.placed_by_hand else can
@@ -120,22 +121,22 @@ def calibrate_simulated(
         with naming(config):
             ended = calibrate_here(connected, config.resolve().parent, end)
         truth = _truth_after(simulator, before, in_controller=not grbl)
-        compared = cross_checked(ended.outcome, connected, simulator, in_controller=not grbl) if cross_check else None
+        checked = attempt(ended.outcome, connected, simulator, in_controller=not grbl) if cross_check else None
     if as_json:
         document = {**vars(demonstrated), **_document(ended, truth)}
-        if cross_check:
-            document["cross_check"] = None if compared is None else compared.as_json()
+        if checked is not None:
+            document |= checked.as_json()
         click.echo(json.dumps(document, allow_nan=False))
     else:
         click.echo(demonstrated.text)
         _show(ended, truth)
         if grbl:
             click.echo(WITHOUT_TABLES)
-        if compared is not None:
-            show_comparison(compared)
+        if checked is not None:
+            checked.show()
     conclude(ended)
-    if compared is not None:
-        require_agreement(compared)
+    if checked is not None:
+        checked.conclude()
 
 
 def connect(

@@ -25,7 +25,7 @@ from agent.studies.published.claims import (
     verdicts_by_place,
 )
 from agent.studies.published.procedures import evaluate
-from agent.studies.study import StudyCase, StudyResult
+from agent.studies.study import NAME_COLUMNS, StudyCase, StudyResult
 
 NAME = "claims"
 _LIMITS = {"balls": (SUFFICIENT_SHARE,), "trajectory": (0.0,), "tilt S2": (MUCH,), "tilt S2+S3": (-HARDLY, HARDLY)}
@@ -42,14 +42,15 @@ _SPREAD = 0.22  # distance of the measures around the place of a machine and rea
 
 def run(case: StudyCase) -> StudyResult:
     """Check each claim of the publication on the machine of the case and on two other shipped machines."""
-    found = examine(evaluate(case))
+    outcomes = evaluate(case)
+    artefacts = {one.machine: one.artefact for one in outcomes}
+    found = examine(outcomes)
     return StudyResult(
         name=NAME,
         title="Claims of the publication",
         columns=(
             "claim",
             "section",
-            "on_machine",
             "reading",
             "measure",
             "value",
@@ -58,12 +59,12 @@ def run(case: StudyCase) -> StudyResult:
             "share_of_machines",
             "answer",
             "holds",
+            *NAME_COLUMNS,
         ),
         rows=[
             (
                 name,
                 TEXTS[name][0],
-                one.machine,
                 one.reading,
                 one.measure,
                 one.value,
@@ -71,11 +72,14 @@ def run(case: StudyCase) -> StudyResult:
                 one.share,
                 one.answer,
                 one.holds,
+                one.machine,
+                artefacts[one.machine],
             )
             for name, findings in found.items()
             for one in findings
         ],
         summary=_summary(found),
+        subjects=tuple(artefacts.items()),
         draw=partial(_draw, found=found, machines=case.machines),
         size_in=(13.0, 9.6),
     )

@@ -70,6 +70,7 @@ class StudiedMachine:
     position has three balls within reach."""
 
     name: str
+    artefact: str
     family: Family
     work_frame: WorkFrameForm
     variants: tuple[IdentificationVariant, ...]
@@ -88,7 +89,8 @@ class StudiedMachine:
         # uniform between ±√3: a standard deviation of 1
         drawn = generator(case.seed, 0).uniform(-math.sqrt(3.0), math.sqrt(3.0), (case.machines, parameters))
         variants = tuple(IdentificationVariant(with_stated_scales(one)) for one in (PUBLISHED, case.options))
-        return cls(case.machine.name, case.machine.family, evaluator.work_frame, variants, tuple(trials), drawn)
+        names = case.machine.name, case.artefact.name
+        return cls(*names, case.machine.family, evaluator.work_frame, variants, tuple(trials), drawn)
 
     def uncompensated(self) -> RemainingErrors:
         field = self.work_frame.field
@@ -137,6 +139,7 @@ class Outcomes:
     """Errors that the procedures leave on one machine in one reading of the method, in one measure."""
 
     machine: str
+    artefact: str
     variant: IdentificationVariant
     measure: ErrorMeasure
     before: RemainingErrors
@@ -180,7 +183,7 @@ def evaluate(case: StudyCase) -> list[Outcomes]:
     items += [(m, v, p) for m in range(len(machines)) for v in range(2) for p in range(len(KEYS))]
     found = dict(zip(items, case.map(EvaluationTask(machines, case.seed), items, "procedures"), strict=True))
     return [
-        Outcomes(one.name, variant, measure, _known(found[m, 0, -1]), _after(found, m, v))
+        Outcomes(one.name, one.artefact, variant, measure, _known(found[m, 0, -1]), _after(found, m, v))
         for m, one in enumerate(machines)
         for v, variant in enumerate(one.variants)
         for measure in MEASURES

@@ -36,7 +36,7 @@ def errors(value_um: float, *machines_um: float, cost: int = 0) -> RemainingErro
 def outcomes(after: Mapping[ProcedureKey, RemainingErrors | None], before: RemainingErrors) -> Outcomes:
     made = StudiedMachine.of(study_case(seed=1))
     every: dict[ProcedureKey, RemainingErrors | None] = dict.fromkeys(KEYS)
-    return Outcomes("one", made.variants[0], ALIGNED, before, {**every, **after})
+    return Outcomes("one", "bar", made.variants[0], ALIGNED, before, {**every, **after})
 
 
 def finding(machine: str, reading: str, measure: str, holds: bool) -> ClaimFinding:

@@ -64,6 +64,19 @@ def test_every_test_is_asked_where_it_was_predicted() -> None:
     assert (ballbar["do"], ballbar["radius_mm"], ballbar["plane"]) == ("ballbar", 150.0, "YZ")
 
 
+@pytest.mark.parametrize("corner", [(0.0, 0.0, 0.0), (4000.0, 1300.0, 1500.0), (4000.0, 0.0, 1500.0)])
+def test_the_lines_of_a_squareness_may_meet_at_their_ends(corner: tuple[float, float, float]) -> None:
+    ranges = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
+    for test in acceptance_tests(ranges, np.zeros(3), np.array(corner), ()):
+        if not test.feature.name.startswith("squareness"):
+            continue
+        asked = instrument_request(test, np.zeros(3))
+        for axis, (start, end) in zip(("XYZ".index(name) for name in asked["plane"]), asked["lines_mm"], strict=True):
+            low, high = list(corner), list(corner)
+            low[axis], high[axis] = ranges[axis]
+            assert (start, end) == (low, high)
+
+
 @pytest.fixture(scope="module")
 def predicted(tmp_path_factory: pytest.TempPathFactory) -> PredictedTests:
     """Prediction from the shipped ball centres."""

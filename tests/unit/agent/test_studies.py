@@ -61,6 +61,26 @@ def result(**changes: object) -> StudyResult:
 case = partial(study_case, seed=5)
 
 
+def of_other_machines(_: object) -> StudyResult:
+    return result(rows=[(3, "mill", "bar")], columns=("balls", "machine_name", "artefact_name"), subjects=SUBJECTS)
+
+
+SUBJECTS = (("mill", "bar"), ("bridge", "long bar"))
+
+
+def test_a_study_of_other_machines_names_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(STUDIES, "example", f"{__name__}:of_other_machines")
+    found = run_study("example", case())
+    assert found.columns == ("balls", "machine_name", "artefact_name")
+    assert list(found.rows) == [(3, "mill", "bar")]
+    summary = document(found)
+    assert summary["subjects"] == [dict(zip(("machine", "artefact"), pair, strict=True)) for pair in SUBJECTS]
+    assert not {"machine", "artefact", "balls", "stations"} & set(summary)
+    figure = Figure()
+    found.draw(figure)
+    assert figure.get_suptitle() == "machine mill, artefact bar; machine bridge, artefact long bar"
+
+
 class TestFiles:
     def test_all_four_are_written_and_say_the_same(self, tmp_path: Path) -> None:
         folder = tmp_path / "new" / "folder"

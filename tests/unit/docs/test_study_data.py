@@ -128,7 +128,8 @@ def test_the_claims_of_the_page_are_those_of_the_stored_data_and_of_the_program(
     for name in claims.TEXTS:
         rows = [row for row in table("claims") if row["claim"] == name]
         found = [
-            ClaimFinding(row["on_machine"], row["reading"], row["measure"], None, row["holds"] == "yes") for row in rows
+            ClaimFinding(row["machine_name"], row["reading"], row["measure"], None, row["holds"] == "yes")
+            for row in rows
         ]
         assert verdicts[name] == [*claims.verdicts_by_place(found).values(), claims.verdict(found)], name
     made = StudiedMachine.of(case())
@@ -137,7 +138,7 @@ def test_the_claims_of_the_page_are_those_of_the_stored_data_and_of_the_program(
         straight, tilted = (made.compensated(number, procedure, 1) for procedure in tilts)
         assert straight is not None and tilted is not None
         for row in table("claims"):
-            if (row["claim"], row["on_machine"], row["reading"]) == ("tilt S2", "case-study", reading):
+            if (row["claim"], row["machine_name"], row["reading"]) == ("tilt S2", "case-study", reading):
                 saved = 1.0 - tilted.expected_um[row["measure"]] / straight.expected_um[row["measure"]]
                 assert float(row["value"]) == pytest.approx(saved, rel=CLOSE)
 

@@ -21,6 +21,7 @@ from simulators.instruments.straightness_interferometer import (
 from simulators.instruments.target_line import TargetLine
 from simulators.scenario import AxisBehaviour
 from simulators.temperatures import ThermalSettings
+from simulators.wire.control_channel import ControlServer
 from simulators.wire.instrument_requests import VirtualInstruments
 from simulators.wire.shared_world import SharedWorld
 from simulators.world.world import World
@@ -29,6 +30,7 @@ NO_ERRORS = AxisBehaviour(repeatability_um=0.0, backlash_um=0.0)
 ALONG_X = TargetLine(np.array([0.0, 600.0, 700.0]), np.array([2000.0, 600.0, 700.0]))
 ALONG_Y = TargetLine(np.array([1000.0, 0.0, 700.0]), np.array([1000.0, 1200.0, 700.0]))
 CIRCLE = Circle(np.array([1000.0, 600.0, 700.0]), 150.0, (0, 1))
+LOW_TO_X = [[0, 0, 0], [900, 0, 0]]
 PERFECT_LASER = InterferometerClass(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 150.0, 0.0)
 PERFECT_OPTICS = StraightnessClass(0.0, 0.0, 50.0, 0.0, 0.0, 0.0)
 PERFECT_BAR = BallbarClass(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -204,9 +206,52 @@ def test_a_machine_that_warms_up_scatters_between_the_runs() -> None:
         ({"do": "ballbar", "centre_mm": [1, 2, 3], "radius_mm": 0.0, "plane": "XY"}, "radius_mm"),
         ({"do": "ballbar", "centre_mm": [1, 2, 3], "radius_mm": 10.0, "plane": "XX"}, "plane"),
         ({"do": "ballbar", "centre_mm": [1, 2, 3], "radius_mm": True, "plane": "XY"}, "radius_mm"),
+        ({"do": "ballbar", "centre_mm": [1, 2, 3], "radius_mm": 10**400, "plane": "XY"}, "radius_mm"),
+        ({"do": "ballbar", "centre_mm": [9, 9, 9], "radius_mm": 100, "plane": "XY"}, "radius_mm"),
+        ({"do": "ballbar", "centre_mm": [-90, 9, 9], "radius_mm": 5, "plane": "XY"}, "centre_mm"),
+        ({"do": "interferometer", "from_mm": [0, 0, 0], "to_mm": [1e5, 0, 0]}, "to_mm"),
+        ({"do": "straightness", "from_mm": [0, 0, 0], "to_mm": [9, 0, 0], "across": "X"}, "across"),
+        ({"do": "squareness", "lines_mm": [LOW_TO_X, LOW_TO_X], "plane": "XY"}, "lines_mm"),
+        ({"do": "squareness", "lines_mm": [LOW_TO_X, LOW_TO_X[::-1]], "plane": "YX"}, "lines_mm"),
+        ({"do": "squareness", "lines_mm": [LOW_TO_X, [[0, 0, 0], [0, -1e5, 0]]], "plane": "XY"}, "lines_mm"),
     ],
 )
 def test_a_bad_request_is_refused_with_its_key(request_: dict[str, object], key: str) -> None:
     with pytest.raises(InputError) as refused:
         VirtualInstruments(SharedWorld(ideal_world())).measure(request_)
     assert refused.value.where["key"] == key
+
+
+@pytest.mark.parametrize("value", ["1" + 400 * "0", "NaN", "-1e7", "true"])
+@pytest.mark.parametrize(
+    ("request_", "key"),
+    [
+        ('{"do": "jog", "axis": "X", "distance_mm": VALUE}', "distance_mm"),
+        ('{"do": "place_by_hand", "station": 1, "azimuth_deg": VALUE}', "azimuth_deg"),
+        ('{"do": "interferometer", "from_mm": [0, 0, VALUE], "to_mm": [9, 0, 0]}', "from_mm"),
+    ],
+)
+def test_the_control_channel_answers_a_number_that_is_none(request_: str, key: str, value: str) -> None:
+    shared = SharedWorld(ideal_world())
+    server = ControlServer(shared, ("127.0.0.1", 0), measure=VirtualInstruments(shared).measure)
+    try:
+        answer = server.answer(request_.replace("VALUE", value).encode())
+    finally:
+        server.close()
+    assert f"{key} must be a number from -1000000 to 1000000" in answer["error"]
+
+
+def test_the_second_line_of_a_squareness_is_measured_after_the_first() -> None:
+    instants: list[np.ndarray] = []
+
+    def still(path: np.ndarray, at_s: np.ndarray) -> np.ndarray:
+        instants.append(at_s)
+        return np.zeros_like(path)
+
+    found = measure_squareness(
+        MachineUnderTest(still, NO_ERRORS, lambda _: 21.0, now_s=100.0), (ALONG_X, ALONG_Y), (0, 1), 1
+    )
+    first, second = instants
+    assert first[0] > 100.0
+    assert second[0] > first[-1]
+    assert found.duration_s == pytest.approx(second[-1] - 100.0)
