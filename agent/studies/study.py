@@ -33,6 +33,9 @@ NAME_COLUMNS = ("machine_name", "artefact_name")
 """Last columns of the table of each study."""
 _FACTS_OF_MACHINE = ("machine", "artefact", "balls", "stations")
 
+SIMULATED_OPERATOR = "simulated-operator"
+"""Driver of an operator who is simulated."""
+
 Progress = Callable[[str, int, int], None]
 """Callback that takes the current activity, the number of finished items, and the total number of items."""
 
@@ -106,10 +109,14 @@ class StudyCase:
     def relocation_minutes(self) -> float:
         """Minutes to carry the artefact to another station.
 
-        They are those of the settings. A simulated operator, for whom the settings state 0, is replaced by a person
+        They are those of the settings, even if 0. A simulated operator who takes no time is replaced by a person
         without a crane, so that sets at different numbers of stations can be compared.
         """
-        return self.job.settings.timing.relocation_minutes or RELOCATION_BY_HAND_MINUTES
+        settings = self.job.settings
+        operator = settings.devices.get(settings.roles.operator)
+        if settings.timing.relocation_minutes == 0.0 and operator is not None and operator.driver == SIMULATED_OPERATOR:
+            return RELOCATION_BY_HAND_MINUTES
+        return settings.timing.relocation_minutes
 
     def map(self, task: Callable[[Item], Result], items: Sequence[Item], what: str = "machines") -> list[Result]:
         """Apply `task` to all items with the workers of the study, and return the results in the order of the items.

@@ -22,7 +22,9 @@ from agent.studies.workers import generator
 from twin.arrays import Array
 from twin.machine.error_model import Ranges
 from twin.machine.kinematic_chain import AXES
+from twin.uncertainty.error_budget import ErrorBudget
 from twin.uncertainty.monte_carlo import draw_truth
+from twin.uncertainty.residual_field_form import FieldForm
 
 NAME = "trajectory"
 COUNTS = (3, 5, 11)
@@ -68,8 +70,8 @@ def run(case: StudyCase) -> StudyResult:
     balls, all measured in the position set of the study case.
     """
     variant, line = identification_variants(case.options)[0], middle_line(case.machine.model.ranges_mm)
-    followed = compare_along(case, variant, line)
-    defined = compare_along(case, variant, line, aligned=False)
+    identified = IdentifiedModels.of(case, variant)
+    followed, defined = identified.along(line, aligned=True), identified.along(line, aligned=False)
     where = f"X = {line[0, 0]:g} mm, Y = {line[0, 1]:g} mm"
     return StudyResult(
         name=NAME,
@@ -92,28 +94,42 @@ def middle_line(ranges_mm: Ranges) -> Array:
     return line
 
 
-def compare_along(
-    case: StudyCase, variant: IdentificationVariant, line: Array, *, aligned: bool = True
-) -> TrajectoryResult:
-    """Return the deviations of simulated machine number 0, and of its models identified with bars of 3, 5 and 11 balls,
-    at the n axis positions `line` (n, 3) in mm. If `aligned`, the best-fitting rigid motion of the workspace is
-    removed.
-    """
-    evaluator, bar, positions = ProcedureEvaluator(case), Bar.of(case.artefact), case.positions()
-    basis, deflection = evaluator.field.columns_at(line, aligned)
-    truth = draw_truth(case.assumptions, generator(case.seed, 0), case.tool_offset).parameters
-    models, sigma = {}, {}
-    for done, count in enumerate(COUNTS):
-        case.progress("numbers of balls", done, len(COUNTS))
-        trial = ProcedureVariant.of(case, bar.with_(balls=count), positions)
-        budget = evaluator.budget(trial, variant)
-        found = None if budget is None else simulate_if_identified(evaluator.procedure(trial, variant), 0)
-        if budget is not None and found is not None:
-            models[count] = 1e3 * (basis[:, :, evaluator.field.model_indices] @ found.estimate)
-            sigma[count] = 1e3 * budget.field_uncertainty(line, aligned)
-    case.progress("numbers of balls", len(COUNTS), len(COUNTS))
-    machine = 1e3 * (basis[:, :, evaluator.field.true_indices] @ truth + deflection)
-    return TrajectoryResult(line[:, 2], machine, models, sigma)
+@dataclass(frozen=True, eq=False)
+class IdentifiedModels:
+    """True parameters of simulated machine number 0, and the parameters and error budget of each of its models by the
+    number of balls. A number of balls that does not identify the machine is left out."""
+
+    field: FieldForm
+    truth: Array
+    models: dict[int, tuple[Array, ErrorBudget]]
+
+    @classmethod
+    def of(cls, case: StudyCase, variant: IdentificationVariant) -> IdentifiedModels:
+        """Identify the machine with bars of 3, 5 and 11 balls."""
+        evaluator, bar, positions = ProcedureEvaluator(case), Bar.of(case.artefact), case.positions()
+        models = {}
+        for done, count in enumerate(COUNTS):
+            case.progress("numbers of balls", done, len(COUNTS))
+            trial = ProcedureVariant.of(case, bar.with_(balls=count), positions)
+            budget = evaluator.budget(trial, variant)
+            found = None if budget is None else simulate_if_identified(evaluator.procedure(trial, variant), 0)
+            if budget is not None and found is not None:
+                models[count] = (found.estimate, budget)
+        case.progress("numbers of balls", len(COUNTS), len(COUNTS))
+        truth = draw_truth(case.assumptions, generator(case.seed, 0), case.tool_offset).parameters
+        return cls(evaluator.field, truth, models)
+
+    def along(self, line: Array, *, aligned: bool) -> TrajectoryResult:
+        """Return the deviations at the n axis positions `line` (n, 3) in mm. If `aligned`, the best-fitting rigid
+        motion of the workspace is removed."""
+        basis, deflection = self.field.columns_at(line, aligned)
+        found = self.models.items()
+        return TrajectoryResult(
+            line[:, 2],
+            1e3 * (basis[:, :, self.field.true_indices] @ self.truth + deflection),
+            {count: 1e3 * (basis[:, :, self.field.model_indices] @ estimate) for count, (estimate, _) in found},
+            {count: 1e3 * budget.field_uncertainty(line, aligned) for count, (_, budget) in found},
+        )
 
 
 def _rms(vectors: Array) -> float:

@@ -400,7 +400,8 @@ class TestTrajectory:
     def test_the_machine_is_the_exact_one_less_its_rigid_motion(self) -> None:
         made = case()
         line = trajectory.middle_line(made.machine.model.ranges_mm)
-        followed = trajectory.compare_along(made, identification_variants(made.options)[0], line)
+        identified = trajectory.IdentifiedModels.of(made, identification_variants(made.options)[0])
+        followed = identified.along(line, aligned=True)
         grid = evaluation_grid(made.machine.model.ranges_mm)
         truth = draw_truth(made.assumptions, generator(made.seed, 0), made.tool_offset)
         wanted = less_rigid(made, truth.deviation(grid), grid, truth.deviation(line), line)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import inspect
 import json
+from dataclasses import replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -79,6 +80,23 @@ def test_a_study_of_other_machines_names_them(monkeypatch: pytest.MonkeyPatch) -
     figure = Figure()
     found.draw(figure)
     assert figure.get_suptitle() == "machine mill, artefact bar; machine bridge, artefact long bar"
+
+
+@pytest.mark.parametrize(
+    ("driver", "stated", "counted"),
+    [("simulated-operator", 0.0, 3.0), ("simulated-operator", 2.0, 2.0), ("console-operator", 0.0, 0.0)],
+)
+def test_only_a_simulated_operator_is_replaced_by_a_person(driver: str, stated: float, counted: float) -> None:
+    made = case()
+    settings = made.job.settings
+    name = settings.roles.operator
+    changed = settings.model_copy(
+        update={
+            "timing": settings.timing.model_copy(update={"relocation_minutes": stated}),
+            "devices": {**settings.devices, name: settings.devices[name].model_copy(update={"driver": driver})},
+        }
+    )
+    assert replace(made, job=replace(made.job, settings=changed)).relocation_minutes == counted
 
 
 class TestFiles:
