@@ -79,7 +79,7 @@ def _waves(estimate: ReportedEstimate, name: str) -> float:
     component, axis = AXES.index(name[1]), AXES.index(name[2])
     ranges = np.array(estimate.model.ranges_mm)
     line = np.tile(ranges.mean(axis=1), (SAMPLES, 1))
-    line[:, axis] = np.linspace(*ranges[axis], SAMPLES)
+    line[:, axis] = np.linspace(*estimate.model.ranges_mm[axis], SAMPLES)
     modes = misfit.amplitude_mm * misfit.modes.at(line)[:, component]
     variances = np.sum((modes @ misfit.covariance) * modes, axis=1) + estimate.scatter_mm2
     doubt_mm = COVERAGE * math.sqrt(2.0 * float(variances.max()))

@@ -70,7 +70,7 @@ SUBJECTS = (("mill", "bar"), ("bridge", "long bar"))
 
 
 def test_a_study_of_other_machines_names_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(STUDIES, "example", f"{__name__}:of_other_machines")
+    monkeypatch.setitem(STUDIES, "example", f"{__name__}:{of_other_machines.__name__}")
     found = run_study("example", case())
     assert found.columns == ("balls", "machine_name", "artefact_name")
     assert list(found.rows) == [(3, "mill", "bar")]
