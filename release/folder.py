@@ -10,7 +10,7 @@ from release.errors import ReleaseRefused
 from release.pins import CONSTRAINTS
 from release.signature import SIGNATURE, SUMS
 
-RELEASE_FILES = ("volcal-*.whl", "volcal_*.deb", "volcal-*.cdx.json", str(CONSTRAINTS), SUMS, SIGNATURE)
+RELEASE_FILES = ("volcal-*.whl", "volcal_*.deb", "volcal-*.cdx.json", CONSTRAINTS, SUMS, SIGNATURE)
 """Patterns of the names of all files of a release."""
 
 
