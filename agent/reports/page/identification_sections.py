@@ -15,6 +15,9 @@ from agent.results.facts import Quantity
 from twin.artefact.artefact_calibration import ArtefactCalibration
 from twin.units import UM_PER_MM
 
+PARAMETER_COLUMNS = 4
+"""With three, the table of a model of order 10 and its heading do not fit on one page."""
+
 
 def summary_table(data: ReportData, identification: IdentificationData, t: Texts) -> Table:
     summary, proof = identification.volumetric, data.run.verification
@@ -144,13 +147,13 @@ def table_rows(identification: IdentificationData) -> Rows | None:
 
 
 def parameters(identification: IdentificationData) -> list[list[tuple[str, str, str, str]]]:
-    """Return the parameters of the error model in three columns of rows. Each row contains the name, the value, the
-    expanded uncertainty (k = 2) and the unit of a parameter."""
+    """Return the parameters of the error model in columns of rows, `PARAMETER_COLUMNS` of them. Each row contains
+    the name, the value, the expanded uncertainty (k = 2) and the unit of a parameter."""
     estimate = identification.estimate
     sigma = estimate.standard_uncertainty
     rows = []
     for parameter, value, spread in zip(estimate.model.parameters, estimate.parameters, sigma, strict=True):
         scale, unit = (1e3, "µm") if parameter.unit == "mm" else (1e6, "µrad")
         rows.append((parameter.name, fixed(scale * value, 2), fixed(COVERAGE * scale * spread, 2), unit))
-    height = -(-len(rows) // 3)
+    height = -(-len(rows) // PARAMETER_COLUMNS)
     return [rows[start : start + height] for start in range(0, len(rows), height)]
