@@ -119,7 +119,7 @@ def test_the_owner_of_the_machine_pairs_a_device_from_the_page(chromium: Browser
         expect(page.locator("dialog img")).to_have_attribute(
             "alt", re.compile(rf"{re.escape(house.url)}/#pair=\d{{6}}")
         )
-        assert page.evaluate("document.querySelector('dialog img').naturalWidth") > 200
+        page.wait_for_function("document.querySelector('dialog img').naturalWidth > 200", timeout=600_000)
         fits(page)
         assert violations(page) == []
         code = page.locator("#invitation-code").inner_text().replace(" ", "")
