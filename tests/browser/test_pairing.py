@@ -110,6 +110,7 @@ def test_the_owner_of_the_machine_pairs_a_device_from_the_page(chromium: Browser
         with_token(page, house)
         page.reload()
         page.set_viewport_size(PANEL_SMALL)
+        expect(page.locator("#token")).to_have_text("Engineer")  # the service has said what the token may
         page.click("#token")
         page.click("#invite")
         page.check("input[value=engineer]")
