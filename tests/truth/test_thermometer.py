@@ -135,7 +135,7 @@ def test_the_option_goes_before_the_settings(tmp_path: Path) -> None:
     by_option = desk.run("--order", "6", "--temperature-uncertainty", "0.5").stdout.replace("\n", " ")
     assert "±1 K (k = 2): scale ±11.5 µm/m" in by_option
     assert "not stated" not in by_option
-    assert "not stated" not in desk.report()
+    assert "thermometer is not stated" not in desk.report()
     exact = desk.hurry("--temperature-uncertainty", "0")
     assert exact["thermometer"]["contribution_um"] == 0.0
     assert exact["thermometer"]["vce_if_known_um"] == pytest.approx(exact["predicted_vce_um"])
