@@ -27,13 +27,11 @@ import numpy as np
 
 from campaigns.features.true_features import DrawnFeature, Field, draw
 from campaigns.features.true_tests import true_figure_mm
-from campaigns.foreign.artefact import measure_at, tilted_bar
+from campaigns.foreign.calibrated_machine import calibrated_machine
 from campaigns.foreign.machine import TOOL, DrawnMachine
-from campaigns.foreign.score import family_of
-from campaigns.foreign.trials import GENERATORS, places_of
-from twin.compensation.table import CompensationTable, MeasuredRegion, build_table, regular_nodes
-from twin.identification import Estimate, identify_by_evidence
-from twin.machine.anchor import Anchor
+from campaigns.foreign.trials import GENERATORS
+from twin.compensation.table import CompensationTable
+from twin.identification import Estimate
 from twin.workpiece.acceptance import acceptance_tests
 from twin.workpiece.conformity import Conformity
 from twin.workpiece.features import Measure, Tolerance
@@ -71,10 +69,8 @@ class ComparedFeature:
 def one_machine(generator: str, each: int, number: int) -> list[ComparedFeature]:
     """Return the comparisons for machine `number` of a generator."""
     rng = np.random.default_rng([number, _SEED])
-    machine, bar = GENERATORS[generator](rng), tilted_bar(rng)
-    seen = measure_at(machine, bar, places_of("S3"), rng).seen
-    estimate = identify_by_evidence(family_of, seen, bar.artefact)
-    table = _table(estimate, seen.axis_positions)
+    found = calibrated_machine(generator, rng)
+    machine, estimate, table = found.machine, found.estimate, found.table
     low, high = np.array(machine.ranges).T
     drawn = [*draw(low + _TOOL, high + _TOOL, each, rng), *_tests(machine.ranges, rng)]
     return [row for one in drawn for row in _compared(machine, estimate, table, one, rng)]
@@ -89,13 +85,6 @@ def _tests(ranges: tuple[tuple[float, float], ...], rng: np.random.Generator) ->
         DrawnFeature(f"{test.standard} {test.feature.name.split()[0]}", test.feature, (), partial(true_figure_mm, test))
         for test in acceptance_tests((x, y, z), _TOOL, centre, (_RADIUS_MM,))
     ]
-
-
-def _table(estimate: Estimate, measured: np.ndarray) -> CompensationTable:
-    nodes = regular_nodes(estimate.model.ranges_mm)
-    middle = np.mean(estimate.model.ranges_mm, axis=1)
-    region = MeasuredRegion.around(measured)
-    return build_table(estimate.model, estimate.parameters, nodes, _TOOL, Anchor(middle), region)
 
 
 def _compared(

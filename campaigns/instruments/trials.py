@@ -30,18 +30,15 @@ import numpy as np
 from agent.results.table_image import image_of
 from agent.workpiece.instrument_comparison import ComparedFigure, InstrumentComparison, compare_with_instruments
 from agent.workpiece.predicted_tests import PredictedTests
-from campaigns.foreign.artefact import measure_at, tilted_bar
+from campaigns.foreign.calibrated_machine import calibrated_machine
 from campaigns.foreign.machine import TOOL, DrawnMachine
-from campaigns.foreign.score import family_of
-from campaigns.foreign.trials import GENERATORS, places_of
+from campaigns.foreign.trials import GENERATORS
 from simulators.instruments.machine_under_test import MachineUnderTest
 from simulators.scenario import AxisBehaviour, StoreSettings
 from simulators.wire.instrument_requests import answer_of
 from simulators.world.field import TableField
 from simulators.world.tables import TableBanks
-from twin.compensation.table import CompensationTable, MeasuredRegion, build_table, regular_nodes
-from twin.identification import Estimate, identify_by_evidence
-from twin.machine.anchor import Anchor
+from twin.compensation.table import CompensationTable
 from twin.workpiece.acceptance import acceptance_tests, predict_tests
 from twin.workpiece.agreement import EN_LIMIT
 
@@ -109,10 +106,8 @@ def in_front_of_instruments(
 def one_machine(generator: str, number: int, wrong_scale: float = 0.0) -> InstrumentComparison:
     """Return the comparison for machine `number` of a generator."""
     rng = np.random.default_rng([number, _SEED])
-    machine, bar = GENERATORS[generator](rng), tilted_bar(rng)
-    seen = measure_at(machine, bar, places_of("S3"), rng).seen
-    estimate = identify_by_evidence(family_of, seen, bar.artefact)
-    table = _table(estimate, seen.axis_positions)
+    found = calibrated_machine(generator, rng)
+    machine, estimate, table = found.machine, found.estimate, found.table
     low, high = np.array(machine.ranges).T
     centre = rng.uniform(low + _MARGIN_MM, high - _MARGIN_MM)
     tests = acceptance_tests(estimate.model.ranges_mm, _TOOL, centre, (_RADIUS_MM,))
@@ -127,14 +122,6 @@ def one_machine(generator: str, number: int, wrong_scale: float = 0.0) -> Instru
         return answer_of(stand, {**request, "seed": seed})
 
     return compare_with_instruments(predicted, ask, _TABLE_BANK)
-
-
-def _table(estimate: Estimate, measured: np.ndarray) -> CompensationTable:
-    nodes = regular_nodes(estimate.model.ranges_mm)
-    middle = np.mean(estimate.model.ranges_mm, axis=1)
-    return build_table(
-        estimate.model, estimate.parameters, nodes, _TOOL, Anchor(middle), MeasuredRegion.around(measured)
-    )
 
 
 def summary(figures: Sequence[ComparedFigure]) -> dict[str, float]:

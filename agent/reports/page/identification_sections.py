@@ -13,7 +13,7 @@ from agent.reports.page.number_format import COVERAGE, Rows, Table, fixed, micro
 from agent.reports.page.texts import Texts
 from agent.results.facts import Quantity
 from twin.artefact.artefact_calibration import ArtefactCalibration
-from twin.units import UM_PER_MM
+from twin.units import MICRO_UNITS, UM_PER_MM
 
 PARAMETER_COLUMNS = 4
 """With three, the table of a model of order 10 and its heading do not fit on one page."""
@@ -153,7 +153,7 @@ def parameters(identification: IdentificationData) -> list[list[tuple[str, str, 
     sigma = estimate.standard_uncertainty
     rows = []
     for parameter, value, spread in zip(estimate.model.parameters, estimate.parameters, sigma, strict=True):
-        scale, unit = (1e3, "µm") if parameter.unit == "mm" else (1e6, "µrad")
+        unit, scale = MICRO_UNITS[parameter.unit]
         rows.append((parameter.name, fixed(scale * value, 2), fixed(COVERAGE * scale * spread, 2), unit))
     height = -(-len(rows) // PARAMETER_COLUMNS)
     return [rows[start : start + height] for start in range(0, len(rows), height)]
