@@ -30,3 +30,13 @@ def decide(least_inside: float, most_inside: float) -> Conformity:
     if 1.0 - least_inside <= MAXIMUM_RISK:
         return Conformity.CONFORMS
     return Conformity.DOES_NOT_CONFORM if most_inside <= MAXIMUM_RISK else Conformity.UNDECIDED
+
+
+def decide_by_limits(lower: float, upper: float, tolerance: float | None) -> Conformity:
+    """Return what may be stated about a quantity without sign that lies between `lower` and `upper`, its limits of
+    coverage, where it must not exceed `tolerance`."""
+    if tolerance is None:
+        return Conformity.NO_TOLERANCE
+    if upper <= tolerance:
+        return Conformity.CONFORMS
+    return Conformity.DOES_NOT_CONFORM if lower > tolerance else Conformity.UNDECIDED

@@ -17,7 +17,7 @@ from agent.results.facts import Quantity
 from twin.machine.error_model import ERROR_MOTIONS, SQUARENESS, error_motion_kind
 from twin.machine.kinematic_chain import AXES
 from twin.units import MICRO_UNITS, UM_PER_MM
-from twin.workpiece.conformity import Conformity
+from twin.workpiece.conformity import Conformity, decide_by_limits
 
 _ROLLS = ("EAX", "EBY", "ECZ")
 _SQUARENESS_OF = {"C0Y": "squareness of Y to X", "B0Z": "squareness of Z to X", "A0Z": "squareness of Z to Y"}
@@ -43,15 +43,7 @@ class ErrorRow:
         """Return what may be stated about the error and its tolerance after ISO 14253-1, with a guard band of U and of
         the short waves."""
         size, doubt = abs(self.size), self.expanded_uncertainty + self.waves
-        return _stated(size - doubt, size + doubt, tolerance)
-
-
-def _stated(lower: float, upper: float, tolerance: float | None) -> Conformity:
-    if tolerance is None:
-        return Conformity.NO_TOLERANCE
-    if upper <= tolerance:
-        return Conformity.CONFORMS
-    return Conformity.DOES_NOT_CONFORM if lower > tolerance else Conformity.UNDECIDED
+        return decide_by_limits(size - doubt, size + doubt, tolerance)
 
 
 def error_rows(identification: IdentificationData) -> tuple[ErrorRow, ...]:
@@ -139,7 +131,7 @@ def volumetric_conformity(
     for name, quantity in (("VE", summary.before_aligned), ("VCE", summary.after_aligned)):
         if name in tolerances:
             lower, upper = _limits(quantity)
-            stated = _stated(lower, upper, tolerances[name])
+            stated = decide_by_limits(lower, upper, tolerances[name])
             values = (fixed(quantity.value_um, 1), fixed(lower, 1), fixed(upper, 1), f"{tolerances[name]:g}")
             told = t["table_not_active"] if name == "VCE" and not table_active else t[stated.name.lower()]
             rows.append((t[f"tolerated_{name.lower()}"], *values, told))
