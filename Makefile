@@ -26,14 +26,16 @@ test: setup
 # What tells most in a minute: unit, contract, property and golden tests without those of tests/slow.txt, few examples of
 # each property.
 quick: setup
-	$(BIN)/python -m pytest -m "not slow" --hypothesis-profile=quick --numprocesses auto --dist loadfile \
+	$(BIN)/python -m pytest -m "not slow and not long" --hypothesis-profile=quick --numprocesses auto --dist loadfile \
 		tests/unit tests/contract tests/property tests/golden
 
-# Property and statistical tests with many more examples and machines than the check tries. An hour of CPU time.
+# Property and statistical tests with many more examples and machines than the check tries, and the tests marked `long`.
+# An hour of CPU time.
 long-forms: setup
-	$(BIN)/python -m pytest --hypothesis-profile=long --numprocesses auto --dist loadfile \
+	$(BIN)/python -m pytest -m "long or not long" --hypothesis-profile=long --numprocesses auto --dist loadfile \
 		tests/property/test_small_machines.py tests/property/test_design_minutes.py tests/truth/test_verified_steps.py \
 		tests/system/test_demo_cases.py
+	$(BIN)/python -m pytest -m long --numprocesses auto --dist loadfile tests
 
 lint: setup
 	$(BIN)/ruff check .

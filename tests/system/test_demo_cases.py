@@ -1,5 +1,5 @@
-"""`volcal demo --case` with shipped machines besides the case study: a vertical spindle and no mount, in the long form
-also a gantry and a router."""
+"""`volcal demo --case` with shipped machines besides the case study: a vertical spindle, in the long form also one
+without a mount, a gantry and a router."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 from long_form import size
 
-CASES = ("mill", "hand-placed", "quick", "router", "bridge")
+CASES = ("quick", "mill", "hand-placed", "router", "bridge")
 OTHER_NAMES = {"hand-placed": "mill", "quick": "case-study"}
 """Machines of cases that are not called like them."""
 BETTER_THAN_STATED = {"quick"}
 """Cases whose table happens to be better than the lower of the limits that hold for 95 of 100 machines."""
 
 
-@pytest.mark.parametrize("case", CASES[: size(3, len(CASES))])
+@pytest.mark.parametrize("case", CASES[: size(2, len(CASES))])
 def test_shipped_case_becomes_better_as_predicted(case: str, tmp_path: Path) -> None:
     ended = subprocess.run(
         [sys.executable, "-m", "agent.cli.main", "demo", "--case", case, "--json", "--out", str(tmp_path / "out")],

@@ -5,9 +5,11 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
+import pytest
 from campaign_command import run_campaign
 
 
+@pytest.mark.long
 def test_every_incident_leaves_the_history_and_the_table_that_it_should(tmp_path: Path) -> None:
     table = tmp_path / "fortnight.csv"
     code, found = run_campaign("fortnight", "--thin", "--csv", table)

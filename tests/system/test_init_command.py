@@ -45,7 +45,9 @@ def test_a_vertical_mill_is_calibrated_in_simulation_with_two_commands(tmp_path:
 
 
 def test_an_artefact_placed_by_hand_is_calibrated_in_simulation_with_two_commands(tmp_path: Path) -> None:
-    made = run(tmp_path, "init", "mine", *MILL, "--placement", "by-hand", "--shape", "tetrahedron", "--json")
+    made = run(
+        tmp_path, "init", "mine", *MILL, "--placement", "by-hand", "--shape", "tetrahedron", "--touches", "5", "--json"
+    )
     assert made.returncode == 0, made.stderr
     assert run(tmp_path / "mine", "config", "check").returncode == 0
     planned = run(tmp_path / "mine", "plan", "--preview", "picture")
@@ -58,8 +60,10 @@ def test_an_artefact_placed_by_hand_is_calibrated_in_simulation_with_two_command
 
 
 def test_a_machine_with_grbl_is_simulated_over_its_serial_line(tmp_path: Path) -> None:
+    (tmp_path / "short.csv").write_text(POSITIONS)
     router = ("--class", "router", "--travel", "600", "400", "200", "--controller", "serial-cnc", "--touches", "5")
-    made = run(tmp_path, "init", "mine", *router, "--address", str(tmp_path / "absent"), "--stations", "2", "--json")
+    made = run(tmp_path, "init", "mine", *router, "--address", str(tmp_path / "absent"), "--stations", "2",
+               "--position-set", "short.csv", "--json")  # fmt: skip
     assert made.returncode == 0, made.stderr
     settings = tmp_path / "mine" / "volcal.toml"
     settings.write_text(settings.read_text().replace("{ artefact = 20.0", "{ artefact = 27.0"))
