@@ -17,6 +17,7 @@ def test_a_run_says_what_made_it_longer_and_the_next_plan_knows(tmp_path: Path) 
     for given, hasty in (
         ("touch_latency_s = 0.079", "touch_latency_s = 0.0"),
         ("relocation_minutes = 2.0", "relocation_minutes = 1.0"),
+        ("[procedure]\n", "[procedure]\ntouches_per_ball = 5\n"),
         ('state_directory = "../runs"', f'state_directory = "{tmp_path}/runs"'),
         ('"machines/', f'"{CONFIG}/machines/'),
         ('"artefacts/', f'"{CONFIG}/artefacts/'),

@@ -5,9 +5,11 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
+import pytest
 from campaign_command import run_campaign
 
 
+@pytest.mark.long
 def test_short_slots_keep_up_and_a_collision_is_noticed_named_and_calibrated(tmp_path: Path) -> None:
     table, figure = tmp_path / "nights.csv", tmp_path / "nights.png"
     code, found = run_campaign("nights", "--nights", "6", "--step", "5", "--csv", table, "--figure", figure)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
+
 from campaigns.warming.trials import compare_runs
 
 
+@pytest.mark.long
 def test_a_table_measured_while_all_warms_is_no_worse_by_more_than_a_fifth() -> None:
     row, trace = compare_runs(1, constant=False)
     assert row.machine_k > 2.9
