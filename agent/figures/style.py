@@ -113,6 +113,8 @@ _RUN = re.compile(
     r'(?:<use xlink:href="#(?P=id)" x="[^"]+" y="[^"]+" style="(?P=style)"/>\s*)*'
 )
 """Markers of one series, one after the other."""
+_CIRCLE = re.compile(rf"\s*M 0 (?P<radius>{_NUMBER})(?:\s+C(?:\s+{_NUMBER}){{6}}){{8}}\s+z\s*")
+"""Shape of a circle around the origin, as matplotlib draws it: from its lowest point, in eight curves."""
 
 
 @dataclass(frozen=True)
@@ -230,10 +232,11 @@ def _svg(figure: Figure) -> str:
 
 
 def join_markers(svg: str) -> str:
-    """Return an SVG of matplotlib in which all markers of a series are one path, and each tick mark is a path.
+    """Return an SVG of matplotlib in which all markers of a series are one path, and each tick mark is a path. Discs
+    of one colour become lines without length and with round ends.
 
-    Matplotlib refers to the shape of a marker once for each point. A report has thousands of them, and resolving the
-    references takes most of the time of its PDF.
+    Matplotlib refers to the shape of a marker once for each point, and a circle consists of eight curves. A report has
+    thousands of them: resolving the references would take most of the time of its PDF, and the curves most of its size.
     """
     shapes = {found["id"]: found for found in _SHAPE.finditer(svg)}
 
@@ -242,9 +245,25 @@ def join_markers(svg: str) -> str:
         steps = [(float(use["x"]), float(use["y"])) for use in _USE.finditer(run[0])]
         # the shape has its line, and each reference the filling
         style = "; ".join(part for part in (run["style"], shape["style"]) if part)
+        circle = _CIRCLE.fullmatch(shape["d"])
+        dot = None if circle is None else _dot_style(style, float(circle["radius"]))
+        if dot is not None:
+            return f'<path d="{" ".join(f"M {x:.6g} {y:.6g} h 0" for x, y in steps)}" style="{dot}"/>\n'
         return f'<path d="{" ".join(_moved(shape["d"], *step) for step in steps)}" style="{style}"/>\n'
 
     return _SHAPE.sub("", _RUN.sub(joined, svg))
+
+
+def _dot_style(style: str, radius: float) -> str | None:
+    """Return the style of a line without length that looks like a circle in `style`, or None if line and filling of
+    the circle are not alike."""
+    given = dict(part.split(": ", 1) for part in style.split("; "))
+    colour, opacity = given.get("fill", "none"), given.get("fill-opacity", "1")
+    line = given.get("stroke", "none")
+    if colour == "none" or line not in ("none", colour) or opacity != given.get("stroke-opacity", opacity):
+        return None
+    width = 2.0 * radius + (0.0 if line == "none" else float(given.get("stroke-width", "1")))
+    return f"fill: none; stroke: {colour}; stroke-opacity: {opacity}; stroke-width: {width:.6g}; stroke-linecap: round"
 
 
 def _moved(path: str, x: float, y: float) -> str:

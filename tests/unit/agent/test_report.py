@@ -566,6 +566,31 @@ class TestMarkers:
             "</g>",
         ]
 
+    @pytest.mark.parametrize(
+        ("style", "dot"),
+        [
+            ("fill: red", "fill: none; stroke: red; stroke-opacity: 1; stroke-width: 2; stroke-linecap: round"),
+            (
+                "fill: red; fill-opacity: 0.5; stroke: red; stroke-opacity: 0.5; stroke-width: 0.7",
+                "fill: none; stroke: red; stroke-opacity: 0.5; stroke-width: 2.7; stroke-linecap: round",
+            ),
+            ("fill: red; stroke: blue", None),
+            ("fill: red; fill-opacity: 0.5; stroke: red; stroke-opacity: 0.9", None),
+            ("fill: none; stroke: red", None),
+            ("stroke: red", None),
+        ],
+    )
+    def test_a_disc_of_one_colour_is_a_line_without_length(self, style: str, dot: str | None) -> None:
+        circle = "M 0 1 " + "C 1 2 3 4 5 6 \n" * 8 + "z\n"
+        svg = join_markers(
+            f'<defs> <path id="m" d="{circle}"/> </defs><use xlink:href="#m" x="3" y="4" style="{style}"/>'
+        )
+        if dot is None:
+            assert f'style="{style}"' in svg
+            assert svg.count("C") == 8
+        else:
+            assert svg == f'<path d="M 3 4 h 0" style="{dot}"/>\n'
+
     def test_a_page_refers_to_no_marker(self, offline_page: str) -> None:
         assert "<use" not in offline_page
 
