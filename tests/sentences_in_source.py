@@ -30,6 +30,7 @@ ROOMS = (
     "agent/service/http/problems.py",
     "agent/service/opcua/certificates.py",
     "agent/service/opcua/endpoint.py",
+    "agent/service/opcua/node_set_files.py",
     "agent/service/opcua/node_sets.py",
     "agent/service/opcua/server.py",
     "agent/service/owner",
