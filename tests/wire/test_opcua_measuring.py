@@ -9,11 +9,10 @@ from pathlib import Path
 
 import pytest
 from asyncua import ua
-from click.testing import CliRunner
 from opcua_node_sets import DI, GMS, MACHINE_TOOL, MACHINERY, RESULT, WMTP, written_gms, written_wmtp
 from opcua_world import World, browsed_by_node, calibrated, machine_node, opened, status_of, until
+from volcal_command import volcal
 
-from agent.cli.main import main
 from agent.errors import EndpointUnavailable
 from agent.execution.states import RunState
 from agent.service.opcua.machine_model import LAST, RESULTS
@@ -33,6 +32,12 @@ def world(tmp_path_factory) -> Iterator[World]:
         tmp_path_factory.mktemp("opcua"), probe=PROBE_PLATE, calibration_interval_days=30.0,
         further_node_sets=(written_wmtp(sets / "wmtp.xml"), written_gms(sets / "gms.xml")),
     )  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def at_rest(request) -> None:
+    if "world" in request.fixturenames:
+        request.getfixturevalue("world").control.begin_anew()
 
 
 def test_the_machine_is_a_measuring_system_and_its_probe_a_peripheral(world):
@@ -179,7 +184,6 @@ def test_the_check_of_the_settings_says_it_before_the_service_does(tmp_path):
     settings = tmp_path / "volcal.toml"
     quick = Path(__file__).parents[2] / "config" / "quick.toml"
     settings.write_text(f'{quick.read_text()}\n[opcua]\nenabled = true\nfurther_node_sets = ["gms.xml"]\n')
-    said = CliRunner().invoke(main, ["config", "check", str(settings)])
-    assert said.exit_code != 0
-    assert "there is no such OPC UA node set" in said.output
-    assert "opcua.further_node_sets" in said.output
+    said = volcal("config", "check", settings, exit_code=EndpointUnavailable.exit_code).stderr
+    assert "there is no such OPC UA node set" in said
+    assert "opcua.further_node_sets" in said

@@ -50,5 +50,5 @@ def stylus_qualified(directory: Path) -> bool | None:
         return None
     with open_journal(directory, JournalFailed) as reader:
         checked = reader.last_decision(PROBE)
-        rings = {} if checked is None else checked.record.get("facts", {})
-        return True if rings.get("rings") else None
+        facts = {} if checked is None else checked.record.get("facts", {})
+        return True if facts.get("rings") else None

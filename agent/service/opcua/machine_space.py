@@ -77,8 +77,8 @@ class MachineSpace:
         self._state_directory = state_directory
         self._result: CalibrationResult | None = None
         self._stylus_qualified: bool | None = None
-        self._variables = MACHINE_VARIABLES
-        self._state_machines = STATE_MACHINES
+        self._variables: tuple[MachineVariable, ...] = MACHINE_VARIABLES
+        self._state_machines: tuple[StateMachine, ...] = STATE_MACHINES
         self._own = ua.Int16(0)
         self._indices: dict[str, int] = {}
         self._alerts = EventGenerator(server.iserver.isession)
