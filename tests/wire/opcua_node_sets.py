@@ -19,7 +19,15 @@ MACHINERY = "http://opcfoundation.org/UA/Machinery/"
 
 MANDATORY, OPTIONAL = "i=78", "i=80"
 FOLDER, OBJECT, VARIABLE, PROPERTY = "i=61", "i=58", "i=63", "i=68"
-HAS_SUBTYPE, HAS_PROPERTY, HAS_COMPONENT, HAS_ADD_IN = "i=45", "i=46", "i=47", "i=17604"
+ALIASES = {
+    "HasModellingRule": "i=37",
+    "HasTypeDefinition": "i=40",
+    "HasSubtype": "i=45",
+    "HasProperty": "i=46",
+    "HasComponent": "i=47",
+    "HasAddIn": "i=17604",
+}
+HAS_SUBTYPE, HAS_PROPERTY, HAS_COMPONENT, HAS_ADD_IN = "HasSubtype", "HasProperty", "HasComponent", "HasAddIn"
 
 BOOLEAN, UINT16, UINT32, DOUBLE, STRING, NODE_ID, TEXT, UINTEGER = (f"i={n}" for n in (1, 5, 7, 11, 12, 17, 21, 28))
 DURATION, UTC_TIME, ENUMERATION = "i=290", "i=294", "i=29"
@@ -120,6 +128,9 @@ def _document(uris, required, nodes, *, uri="", also_required="", old="") -> str
         '<UANodeSet xmlns="http://opcfoundation.org/UA/2011/03/UANodeSet.xsd"><NamespaceUris>'
         + "".join(f"<Uri>{one}</Uri>" for one in uris)
         + f'</NamespaceUris><Models><Model ModelUri="{uri or uris[0]}" Version="1.0.0">{bases}</Model></Models>'
+        + "<Aliases>"
+        + "".join(f'<Alias Alias="{name}">{node}</Alias>' for name, node in ALIASES.items())
+        + "</Aliases>"
         + "".join(nodes)
         + "</UANodeSet>"
     )
@@ -129,7 +140,11 @@ def _nodes(types, declarations, values):
     for tag, number, name, above, data_type in types:
         yield _node(tag, number, f"1:{name}", data_type, [(HAS_SUBTYPE, above, False)], "")
     for number, above, reference, name, kind, rule, data_type in declarations:
-        references = [("i=40", kind, True), ("i=37", rule, True), (reference, f"ns=1;i={above}", False)]
+        references = [
+            ("HasTypeDefinition", kind, True),
+            ("HasModellingRule", rule, True),
+            (reference, f"ns=1;i={above}", False),
+        ]
         tag = "UAVariable" if data_type else "UAObject"
         yield _node(tag, number, name, data_type, references, values.get(number, ""))
 

@@ -258,6 +258,12 @@ def copied(directory: Path) -> Path:
     return Path(shutil.copytree(SHIPPED, directory / "sets"))
 
 
+def without(directory: Path, name: str) -> Path:
+    sets = copied(directory)
+    (sets / name).unlink()
+    return sets
+
+
 def changed(directory: Path, name: str, pattern: str, by: str) -> Path:
     path = copied(directory) / name
     path.write_text(re.sub(pattern, by, path.read_text(encoding="utf-8"), count=1, flags=re.DOTALL), encoding="utf-8")
@@ -291,6 +297,10 @@ BAD = {
     "another document": (lambda d: changed(d, MACHINE_TOOL_FILE, r".*", "<svg/>"), "not a UANodeSet"),
     "another namespace": (
         lambda d: changed(d, MACHINE_TOOL_FILE, '<Model ModelUri="[^"]*', '<Model ModelUri="urn:x'),
+        "the namespace urn:x of its model is not one of its NamespaceUris",
+    ),
+    "a set is missing": (
+        lambda d: without(d, MACHINE_TOOL_FILE),
         "no file here has the namespace http://opcfoundation.org/UA/MachineTool/",
     ),
     "too old": (lambda d: changed(d, MACHINE_TOOL_FILE, 'Version="1.02.0"', 'Version="1.01.1"'), "1.01.1 .* too old"),

@@ -43,6 +43,10 @@ async def load_node_sets(server: Server, settings: OpcUaSettings) -> frozenset[s
 
 async def _import(server: Server, file: NodeSetFile) -> None:
     _remove_unreadable(file.root, further=file.uri not in _DECODED)
+    for model in file.root.iterfind(f"{XML}Models/{XML}Model"):
+        # They were checked by their versions; asyncua compares dates of publication, which a file need not state.
+        for required in model.findall(f"{XML}RequiredModel"):
+            model.remove(required)
     ElementTree.register_namespace("", XML.strip("{}"))
     try:
         text = ElementTree.tostring(file.root, encoding="unicode")
