@@ -21,8 +21,10 @@ MOVED = {
 """Ball 3 is 60 mm from where the certificate has it, so that no touch meets it; ball 7 is 1.5 mm off."""
 
 PIXELS = """() => {
-  const canvas = document.querySelector(".operator canvas");
-  const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+  const seen = document.querySelector(".operator canvas"), copy = new OffscreenCanvas(seen.width, seen.height);
+  const context = copy.getContext("2d", { willReadFrequently: true });
+  context.drawImage(seen, 0, 0);
+  const { data } = context.getImageData(0, 0, copy.width, copy.height);
   const style = getComputedStyle(document.documentElement);
   const count = (name) => {
     const hex = style.getPropertyValue(`--${name}`).trim();
@@ -32,7 +34,7 @@ PIXELS = """() => {
       if (parts.every((part, at) => Math.abs(data[i + at] - part) <= 2)) found += 1;
     return found;
   };
-  return { lost: count("red"), rejected: count("wait"), measured: count("go") };
+  return { lost: count("red"), rejected: count("wait-ink"), measured: count("accepted") };
 }"""
 """Number of pixels of the canvas in the colour of each mark."""
 
@@ -77,6 +79,8 @@ def test_a_missing_and_a_bent_ball_are_marked_as_what_they_are(chromium: Browser
             seen = page.evaluate(PIXELS)
             assert min(seen.values()) >= 20, seen
             keep_picture(page, f"ball-marks-{theme}")
+        for words in (f"Ball {MISSING} not found: station 1", f"Ball {BENT} rejected: station 1"):
+            expect(page.locator("#recent")).to_contain_text(words)
         page.click("#tab-engineer")
         page.click("#section-events")
         for ball, reason in ((MISSING, "met nothing"), (BENT, "from where it was expected")):

@@ -14,7 +14,7 @@ export function markBalls(context, onScreen, stateOf, current, colours) {
     met.add(state);
     if (state === "measured") {
       disc(context, x, y, Math.max(LEAST_PX, size) + EDGE_PX, colours.paper);
-      disc(context, x, y, Math.max(LEAST_PX, size), colours.go);
+      disc(context, x, y, Math.max(LEAST_PX, size), colours.accepted);
     } else if (state === "lost") cross(context, x, y, Math.max(MARK_PX, size), colours);
     else if (state === "rejected") diamond(context, x, y, Math.max(MARK_PX, size) + 2, colours);
     else if (state === "next") ring(context, x, y, Math.max(NEXT_PX, size + 5), colours.pathNow, 3.5);
@@ -31,14 +31,14 @@ function cross(context, x, y, size, { paper, red }) {
   }
 }
 
-function diamond(context, x, y, size, { paper, wait }) {
+function diamond(context, x, y, size, { paper, waitInk }) {
   context.beginPath();
   for (const [dx, dy] of [[0, -size], [size, 0], [0, size], [-size, 0]]) context.lineTo(x + dx, y + dy);
   context.closePath();
   context.lineWidth = 2 * EDGE_PX;
   context.strokeStyle = paper;
   context.stroke();
-  context.fillStyle = wait;
+  context.fillStyle = waitInk;
   context.fill();
 }
 
