@@ -18,6 +18,7 @@ if will_run():
     from agent.cli.printing import gates_table, results_console
     from agent.planning.job_preparation import prepare_job
     from agent.results.gate_forecast import forecast_gates, require_forecast
+    from agent.service.opcua.node_set_files import node_sets_to_load
     from agent.settings.load import load_settings, naming
     from agent.settings.plausible_ranges import implausible_values
     from agent.settings.schema import Settings
@@ -43,6 +44,8 @@ def check(file: Path | None) -> None:
         file = SETTINGS_FILE
     settings = load_settings(file)
     with naming(file):
+        if settings.opcua.enabled:
+            node_sets_to_load(settings.opcua)
         job = prepare_job(settings, file.resolve().parent)
         held_out, gates = job.held_out, forecast_gates(job)
     for warning in implausible_values(settings, file):

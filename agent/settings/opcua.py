@@ -30,12 +30,23 @@ class IdentificationPlate(StrictModel):
     year_of_construction: int | None = Field(default=None, ge=1900, le=2200)
 
 
+class ProbePlate(StrictModel):
+    """Plate of the touch probe. OPC UA clients find it if the node set of OPC 40210 or OPC 40505 is loaded; what is not
+    given is not shown."""
+
+    manufacturer: Text | None = None
+    model: Text | None = None
+    serial_number: Text | None = None
+
+
 class OpcUaSettings(StrictModel):
     """Settings of the OPC UA server.
 
     `trusted_clients` is the directory of the client certificates (DER or PEM); by default it is ``opcua/trusted`` in
     the state directory. If `anonymous_reading` is true, anonymous clients may read, hold and abort. `node_sets` is the
     directory of the node sets of the companion specifications; by default those shipped with volcal are loaded.
+    `further_node_sets` are files of node sets that are loaded in addition, such as that of OPC 40210.
+    `calibration_interval_days` is the time after which the operator of the machine wants a new calibration.
     """
 
     enabled: bool = False
@@ -44,11 +55,14 @@ class OpcUaSettings(StrictModel):
     trusted_clients: Path | None = None
     anonymous_reading: bool = False
     node_sets: Path | None = None
+    further_node_sets: tuple[Path, ...] = ()
+    calibration_interval_days: float | None = Field(default=None, gt=0, le=3650)
     identification: IdentificationPlate = IdentificationPlate()
+    probe: ProbePlate = ProbePlate()
 
     def resolved(self, base: Path) -> OpcUaSettings:
         """Return these settings with relative paths resolved against the directory `base`."""
         paths = {"trusted_clients": self.trusted_clients, "node_sets": self.node_sets}
-        return self.model_copy(
-            update={name: (base / path).resolve() for name, path in paths.items() if path is not None}
-        )
+        resolved = {name: (base / path).resolve() for name, path in paths.items() if path is not None}
+        further = tuple((base / path).resolve() for path in self.further_node_sets)
+        return self.model_copy(update={**resolved, "further_node_sets": further})

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
+import json
+import os
 import secrets
+import shutil
 import socket
-from collections.abc import AsyncIterator, Iterator
+import subprocess
+from collections.abc import AsyncIterator, Iterator, Mapping
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+import pytest
+from aloud import NOT_HERE
 from asyncua import Client, ua
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 from cryptography import x509
@@ -17,9 +24,15 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
 from fake_control import FakeControl
 
+from agent.execution.journal import Journal
+from agent.execution.journal_reader import open_journal
+from agent.execution.states import RunState
+from agent.results.decision_kinds import OUTCOME, PROBE, PROOF
 from agent.service.opcua.endpoint import OpcUaEndpoint
 from agent.settings.opcua import OpcUaSettings
+from drivers.clock import VirtualClock
 
+PEER = Path(__file__).parent / "peers" / "node"
 TOKEN = secrets.token_urlsafe()
 WITHIN_S = 300.0
 
@@ -115,3 +128,65 @@ def node(client: Client, path: str):
 
 async def read(client: Client, path: str):
     return await node(client, path).read_value()
+
+
+def calibrated(state: Path, run_id: str, *, vce_um: float, probe: Mapping[str, Any] | None = None) -> str:
+    """Write a calibration that has ended into the journal, and return the time of its end. `probe` is what it records
+    of the checks of the probe."""
+    journal = Journal(state)
+    run = journal.start_run(run_id, "calibrate", {"machine": "m.toml"}, "0.1.0", VirtualClock())
+    run.origin({})
+    run.begun()
+    if probe is not None:
+        run.decision(PROBE, probe)
+    run.decision(PROOF, {"accepted": True})
+    run.state(RunState.COMPLETE, final=True)
+    run.decision(OUTCOME, {"estimated_ve_um": 38.5, "predicted_vce_um": vce_um})
+    journal.close()
+
+    with open_journal(state) as reader:
+        return str(reader.require_run(run_id).ended)
+
+
+def machine_node(client: Client, path: str):
+    return client.get_node(own_id(f"Machine.{path}"))
+
+
+async def status_of(client: Client, path: str) -> int:
+    return (await machine_node(client, path).read_data_value(raise_on_bad_status=False)).StatusCode.value
+
+
+async def until(client: Client, path: str, value) -> None:
+    async with asyncio.timeout(WITHIN_S):
+        while (await machine_node(client, path).read_data_value(raise_on_bad_status=False)).Value.Value != value:
+            await asyncio.sleep(0.01)
+
+
+def pem_of(der: Path) -> Path:
+    pem = der.with_suffix(".crt.pem")
+    pem.write_bytes(x509.load_der_x509_certificate(der.read_bytes()).public_bytes(serialization.Encoding.PEM))
+    return pem
+
+
+def node_modules() -> Path:
+    return Path(os.environ.get("VOLCAL_NODE_MODULES", PEER / "node_modules"))
+
+
+def require_node() -> None:
+    if shutil.which("node") is None or not (node_modules() / "node-opcua-client").is_dir():
+        pytest.skip(f"{NOT_HERE}: OPC UA with node-opcua-client: node or its packages are missing (.ci/install-node)")
+
+
+def browsed_by_node(world: World, directory: Path) -> dict[str, Any]:
+    """Return what the client of node-opcua finds of the first machine."""
+    require_node()
+    der, key = world.known
+    said = subprocess.run(
+        ["node", str(PEER / "machine.js"), world.url, str(directory / "pki"), str(pem_of(der)), str(key), "urn:known",
+         TOKEN],
+        env={**os.environ, "NODE_PATH": str(node_modules())}, capture_output=True, text=True, timeout=WITHIN_S,
+        check=False,
+    )  # fmt: skip
+    assert said.returncode == 0, said.stderr
+    found: dict[str, Any] = json.loads(said.stdout.splitlines()[-1])
+    return found

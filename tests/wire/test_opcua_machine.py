@@ -3,40 +3,40 @@
 from __future__ import annotations
 
 import asyncio
-import json
-import os
 import re
 import shutil
-import subprocess
 from collections.abc import Iterator
 from datetime import datetime
 from importlib.resources import files
 from pathlib import Path
 
 import pytest
-from aloud import NOT_HERE
-from asyncua import Client, ua
-from cryptography import x509
-from cryptography.hazmat.primitives import serialization
+from asyncua import ua
 from fake_control import FakeControl
-from opcua_world import TOKEN, WITHIN_S, World, opened, own_id
+from opcua_world import (
+    TOKEN,
+    WITHIN_S,
+    World,
+    browsed_by_node,
+    calibrated,
+    machine_node,
+    opened,
+    require_node,
+    status_of,
+    until,
+)
 
 from agent.errors import EndpointUnavailable
-from agent.execution.journal import Journal
-from agent.execution.journal_reader import open_journal
 from agent.execution.states import RunState
-from agent.results.decision_kinds import OUTCOME, PROOF
 from agent.service.control import Alarm
 from agent.service.daemon.endpoints import open_endpoints
 from agent.service.opcua.companion_types import ALERT, DEVICES, MACHINE_TOOL, MACHINERY, RESULT
 from agent.service.opcua.endpoint import OpcUaEndpoint
 from agent.service.opcua.machine_model import LAST, LAST_META, MACHINE_VARIABLES, READY_EVENT, RESULTS
 from agent.service.opcua.model import NAMESPACE
-from agent.service.opcua.node_sets import further_node_sets, read_node_sets
+from agent.service.opcua.node_set_files import further_node_sets, read_node_sets
 from agent.settings.opcua import OpcUaSettings
-from drivers.clock import VirtualClock
 
-PEER = Path(__file__).parent / "peers" / "node"
 PLATE = {
     "manufacturer": "Musterbau",
     "serial_number": "4711",
@@ -57,35 +57,6 @@ def world(tmp_path_factory) -> Iterator[World]:
 def at_rest(request) -> None:
     if "world" in request.fixturenames:
         request.getfixturevalue("world").control.begin_anew()
-
-
-def calibrated(state: Path, run_id: str, *, vce_um: float) -> str:
-    """Write a calibration that has ended into the journal, and return the time of its end."""
-    journal = Journal(state)
-    run = journal.start_run(run_id, "calibrate", {"machine": "m.toml"}, "0.1.0", VirtualClock())
-    run.origin({})
-    run.begun()
-    run.decision(PROOF, {"accepted": True})
-    run.state(RunState.COMPLETE, final=True)
-    run.decision(OUTCOME, {"estimated_ve_um": 38.5, "predicted_vce_um": vce_um})
-    journal.close()
-
-    with open_journal(state) as reader:
-        return str(reader.require_run(run_id).ended)
-
-
-def machine_node(client: Client, path: str):
-    return client.get_node(own_id(f"Machine.{path}"))
-
-
-async def status_of(client: Client, path: str) -> int:
-    return (await machine_node(client, path).read_data_value(raise_on_bad_status=False)).StatusCode.value
-
-
-async def until(client: Client, path: str, value) -> None:
-    async with asyncio.timeout(WITHIN_S):
-        while (await machine_node(client, path).read_data_value(raise_on_bad_status=False)).Value.Value != value:
-            await asyncio.sleep(0.01)
 
 
 def test_the_machine_has_the_published_types_and_nothing_that_was_not_read(world):
@@ -255,16 +226,8 @@ def test_open_alarms_are_sent_only_to_a_subscription_of_the_session_that_asks(wo
     asyncio.run(scene())
 
 
-def pem_of(der: Path) -> Path:
-    pem = der.with_suffix(".crt.pem")
-    pem.write_bytes(x509.load_der_x509_certificate(der.read_bytes()).public_bytes(serialization.Encoding.PEM))
-    return pem
-
-
 def test_another_vendors_client_finds_the_machine(world, tmp_path):
-    modules = Path(os.environ.get("VOLCAL_NODE_MODULES", PEER / "node_modules"))
-    if shutil.which("node") is None or not (modules / "node-opcua-client").is_dir():
-        pytest.skip(f"{NOT_HERE}: OPC UA with node-opcua-client: node or its packages are missing (.ci/install-node)")
+    require_node()
     ended = calibrated(world.state, "r-2", vce_um=4.25)
     world.control.now(RunState.HELD, run_id="r-3", position_set="S1")
     world.control.tell("outcome", "accepted")
@@ -274,14 +237,7 @@ def test_another_vendors_client_finds_the_machine(world, tmp_path):
             await until(client, f"{LAST}.VCE", 4.25)
 
     asyncio.run(shown())
-    der, key = world.known
-    said = subprocess.run(
-        ["node", str(PEER / "machine.js"), world.url, str(tmp_path / "pki"), str(pem_of(der)), str(key), "urn:known",
-         TOKEN],
-        env={**os.environ, "NODE_PATH": str(modules)}, capture_output=True, text=True, timeout=WITHIN_S, check=False,
-    )  # fmt: skip
-    assert said.returncode == 0, said.stderr
-    found = json.loads(said.stdout.splitlines()[-1])
+    found = browsed_by_node(world, tmp_path)
     assert found["types"] == {
         "machine": [MACHINE_TOOL, 13, "MachineToolType"],
         "identification": [MACHINE_TOOL, 11, "MachineToolIdentificationType"],
@@ -300,6 +256,12 @@ def test_another_vendors_client_finds_the_machine(world, tmp_path):
 
 def copied(directory: Path) -> Path:
     return Path(shutil.copytree(SHIPPED, directory / "sets"))
+
+
+def without(directory: Path, name: str) -> Path:
+    sets = copied(directory)
+    (sets / name).unlink()
+    return sets
 
 
 def changed(directory: Path, name: str, pattern: str, by: str) -> Path:
@@ -335,6 +297,10 @@ BAD = {
     "another document": (lambda d: changed(d, MACHINE_TOOL_FILE, r".*", "<svg/>"), "not a UANodeSet"),
     "another namespace": (
         lambda d: changed(d, MACHINE_TOOL_FILE, '<Model ModelUri="[^"]*', '<Model ModelUri="urn:x'),
+        "the namespace urn:x of its model is not one of its NamespaceUris",
+    ),
+    "a set is missing": (
+        lambda d: without(d, MACHINE_TOOL_FILE),
         "no file here has the namespace http://opcfoundation.org/UA/MachineTool/",
     ),
     "too old": (lambda d: changed(d, MACHINE_TOOL_FILE, 'Version="1.02.0"', 'Version="1.01.1"'), "1.01.1 .* too old"),

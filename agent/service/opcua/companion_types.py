@@ -14,6 +14,8 @@ JOB_CONTROL: Final = "http://opcfoundation.org/UA/ISA95-JOBCONTROL_V2/"
 JOBS: Final = "http://opcfoundation.org/UA/Machinery/Jobs/"
 MACHINE_TOOL: Final = "http://opcfoundation.org/UA/MachineTool/"
 RESULT: Final = "http://opcfoundation.org/UA/Machinery/Result/"
+MEASURING: Final = "http://opcfoundation.org/UA/GMS/"
+PERIPHERALS: Final = "http://opcfoundation.org/UA/WMTP/"
 
 
 @dataclass(frozen=True)
@@ -40,8 +42,24 @@ RESULT_READY: Final = CompanionType(RESULT, 1002, "ResultReadyEventType")
 RESULT_VARIABLE: Final = CompanionType(RESULT, 2001, "ResultType")
 FOLDER: Final = CompanionType(UA, 61, "FolderType")
 BASE_OBJECT: Final = CompanionType(UA, 58, "BaseObjectType")
+TOOL_LIST: Final = CompanionType(MACHINE_TOOL, 44, "ToolListType")
+PROGNOSES: Final = CompanionType(MACHINE_TOOL, 2, "PrognosisListType")
+PRODUCTION_PLAN: Final = CompanionType(MACHINE_TOOL, 30, "ProductionJobListType")
+JOB_STATE: Final = CompanionType(MACHINE_TOOL, 28, "ProductionJobStateMachineType")
+COMPONENT_IDENTIFICATION: Final = CompanionType(MACHINERY, 1005, "MachineryComponentIdentificationType")
+
+MEASURING_SYSTEM: Final = CompanionType(MEASURING, 1002, "GMSType")
+SENSOR: Final = CompanionType(MEASURING, 1007, "SensorType")
+TOOL_MONITORING: Final = CompanionType(MEASURING, 1006, "ToolMonitoringType")
+CALIBRATION_PROGNOSIS: Final = CompanionType(MEASURING, 1019, "CalibrationPrognosisType")
+MEASURING_JOB: Final = CompanionType(MEASURING, 1016, "GMSJobType")
+MEASURING_RESULT: Final = CompanionType(MEASURING, 2004, "GMSResultType")
+PERIPHERAL: Final = CompanionType(PERIPHERALS, 1003, "WirelessMachineToolPeripheralType")
 
 USED_TYPES: Final = (
     MACHINES, MACHINE_TOOL_TYPE, ITEM_STATE, OPERATION_MODE, PROGRAM_STATE, SOFTWARE, MONITORED_ELEMENT, MESSAGES,
     NOTIFICATION_EVENT, ALERT, RESULT_MANAGEMENT, RESULT_READY, RESULT_VARIABLE,
+    TOOL_LIST, PROGNOSES, PRODUCTION_PLAN, JOB_STATE, COMPONENT_IDENTIFICATION,
+    MEASURING_SYSTEM, SENSOR, TOOL_MONITORING, CALIBRATION_PROGNOSIS, MEASURING_JOB, MEASURING_RESULT, PERIPHERAL,
 )  # fmt: skip
+"""Types whose presence is checked; those of a namespace that is not loaded are not used."""

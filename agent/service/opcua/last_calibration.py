@@ -1,4 +1,4 @@
-"""Result of the last calibration, read from the journal."""
+"""Result of the last calibration, and whether the stylus is qualified, read from the journal."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 
 from agent.errors import JournalFailed
 from agent.execution.journal_reader import has_journal, open_journal
+from agent.results.decision_kinds import PROBE
 from agent.results.run_verdict import RunVerdict, run_figures, verdict_of
 
 
@@ -39,3 +40,15 @@ def last_calibration(directory: Path) -> CalibrationResult | None:
                     run.run_id, datetime.fromisoformat(run.ended), figures.ve_um, figures.vce_um, verdict
                 )
     return None
+
+
+def stylus_qualified(directory: Path) -> bool | None:
+    """Return True if the latest run of the journal in `directory` that has checked the probe has qualified the stylus,
+    and None otherwise: the journal does not say what happened to the stylus since an older qualification. Raise
+    JournalFailed if the journal cannot be read."""
+    if not has_journal(directory):
+        return None
+    with open_journal(directory, JournalFailed) as reader:
+        checked = reader.last_decision(PROBE)
+        facts = {} if checked is None else checked.record.get("facts", {})
+        return True if facts.get("rings") else None

@@ -33,52 +33,59 @@ from agent.service.opcua.companion_types import (
 )
 from agent.service.opcua.last_calibration import CalibrationResult
 from agent.service.opcua.model import NAMESPACE, PROGRAM_STATES
-from agent.settings.opcua import IdentificationPlate
+from agent.settings.opcua import IdentificationPlate, OpcUaSettings
 
 MACHINE: Final = "Machine"
 S = RunState
-MachineValue = str | float | int | datetime
+MachineValue = str | float | int | datetime | tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Facts:
-    """All that was read: the status of the service, the result of the last calibration, and the settings."""
+    """All that was read: the status of the service, the settings, the result of the last calibration, and whether the
+    stylus is qualified, None if that is not known."""
 
     status: Status
-    plate: IdentificationPlate
+    settings: OpcUaSettings
     result: CalibrationResult | None
+    stylus_qualified: bool | None = None
+
+    @property
+    def plate(self) -> IdentificationPlate:
+        return self.settings.identification
 
 
 @dataclass(frozen=True)
 class OptionalPart:
-    """Object or variable that the types leave optional. `namespace` is that of its browse name. `add_in` is True if the
-    specification attaches it with HasAddIn."""
+    """Object or variable that the types leave optional. `namespace` is that of its browse name. `reference` is the type
+    of the reference with which the specification attaches it, if it is not HasComponent."""
 
     path: str
     namespace: str
     type: CompanionType
-    add_in: bool = False
+    reference: str = ""
 
 
 def _never(_: Facts) -> bool:
     return False
 
 
-def _no_run(facts: Facts) -> bool:
+def no_run(facts: Facts) -> bool:
     return facts.status.run_id is None
 
 
-def _no_result(facts: Facts) -> bool:
+def no_result(facts: Facts) -> bool:
     return facts.result is None
 
 
 @dataclass(frozen=True)
 class MachineVariable:
     """Variable of the machine. `of` returns its value, or None if there is none; the variable then has the status
-    BadWaitingForInitialData if `awaited` is True, otherwise BadNoData. `form` is a built-in type of OPC UA.
+    BadWaitingForInitialData if `awaited` is True, otherwise BadNoData. `form` is a type of OPC UA, followed by [] if
+    the value is an array; a NodeId is given as the path of the node.
 
-    `namespace` is that of the browse name if the variable is not mandatory in its type. `enumeration` is the number of
-    its data type in this namespace.
+    `namespace` is that of the browse name if the variable is not mandatory in its type, and `is_property` is then True
+    if the type has it as a property. `enumeration` is the number of its data type in this namespace.
     """
 
     path: str
@@ -89,6 +96,7 @@ class MachineVariable:
     namespace: str = ""
     in_micrometres: bool = False
     enumeration: int | None = None
+    is_property: bool = False
 
 
 @dataclass(frozen=True)
@@ -104,7 +112,7 @@ class StateMachine:
     numbered: bool = False
 
 
-_AT_WORK: Final = {
+AT_WORK: Final = {
     S.PREFLIGHT: "NotExecuting",
     S.HELD: "NotExecuting",
     S.WRITTEN: "NotExecuting",
@@ -137,9 +145,9 @@ PARTS: Final = (
     OptionalPart(_SOFTWARE, MACHINE_TOOL, BASE_OBJECT),
     OptionalPart(f"{_SOFTWARE}.volcal", NAMESPACE, SOFTWARE),
     OptionalPart(_BLOCKS, MACHINERY, FOLDER),
-    OptionalPart(f"{_BLOCKS}.MachineryItemState", MACHINERY, ITEM_STATE, add_in=True),
-    OptionalPart(f"{_BLOCKS}.MachineryOperationMode", MACHINERY, OPERATION_MODE, add_in=True),
-    OptionalPart(f"{_BLOCKS}.ResultManagement", RESULT, RESULT_MANAGEMENT, add_in=True),
+    OptionalPart(f"{_BLOCKS}.MachineryItemState", MACHINERY, ITEM_STATE, reference="HasAddIn"),
+    OptionalPart(f"{_BLOCKS}.MachineryOperationMode", MACHINERY, OPERATION_MODE, reference="HasAddIn"),
+    OptionalPart(f"{_BLOCKS}.ResultManagement", RESULT, RESULT_MANAGEMENT, reference="HasAddIn"),
     OptionalPart(f"{_BLOCKS}.ResultManagement.Results", RESULT, FOLDER),
     OptionalPart(LAST, NAMESPACE, RESULT_VARIABLE),
     OptionalPart(ALERTS, MACHINE_TOOL, MESSAGES),
@@ -169,6 +177,11 @@ SHARED_VARIABLES: Final = (
 """Variables of the object `Volcal` that are also components of the monitored element `Calibration`."""
 
 
+def program_state(facts: Facts) -> str | None:
+    """Return the state of the last run since the start of the service, as a state of a production program."""
+    return None if facts.status.run_id is None else PROGRAM_STATES[facts.status.state]
+
+
 def _result(of: Callable[[CalibrationResult], MachineValue | None]) -> Callable[[Facts], MachineValue | None]:
     return lambda facts: None if facts.result is None else of(facts.result)
 
@@ -188,19 +201,19 @@ MACHINE_VARIABLES: Final = (
     ),
     MachineVariable(
         "Identification.Model", "LocalizedText", "`opcua.identification.model`",
-        lambda f: f.plate.model, namespace=DEVICES,
+        lambda f: f.plate.model, namespace=DEVICES, is_property=True,
     ),
     MachineVariable(
         "Identification.Location", "String", "`opcua.identification.location`",
-        lambda f: f.plate.location, namespace=MACHINERY,
+        lambda f: f.plate.location, namespace=MACHINERY, is_property=True,
     ),
     MachineVariable(
         "Identification.YearOfConstruction", "UInt16", "`opcua.identification.year_of_construction`",
-        lambda f: f.plate.year_of_construction, namespace=MACHINERY,
+        lambda f: f.plate.year_of_construction, namespace=MACHINERY, is_property=True,
     ),
     MachineVariable(
         "Identification.ComponentName", "LocalizedText", "name of the machine file",
-        lambda f: f.status.machine, namespace=DEVICES,
+        lambda f: f.status.machine, namespace=DEVICES, is_property=True,
     ),
     MachineVariable(f"{_SOFTWARE}.volcal.Identifier", "String", "volcal", lambda _: "volcal"),
     MachineVariable(
@@ -213,41 +226,41 @@ MACHINE_VARIABLES: Final = (
     MachineVariable(f"{CALIBRATION}.Name", "String", "Calibration", lambda _: "Calibration"),
     MachineVariable(
         "Production.ActiveProgram.Name", "String", "position set of the run",
-        lambda f: f.status.position_set, _no_run,
+        lambda f: f.status.position_set, no_run,
     ),
     MachineVariable("Production.ActiveProgram.NumberInList", "UInt16", "0: there is one program", lambda _: 0),
     MachineVariable(
         "Production.ActiveProgram.JobIdentifier", "String", "identity of the run",
-        lambda f: f.status.run_id, _no_run, MACHINE_TOOL,
+        lambda f: f.status.run_id, no_run, MACHINE_TOOL,
     ),
     MachineVariable(
-        f"{LAST_META}.ResultId", "String", "identity of the run", _result(lambda r: r.run_id), _no_result
+        f"{LAST_META}.ResultId", "String", "identity of the run", _result(lambda r: r.run_id), no_result
     ),
     MachineVariable(
-        f"{LAST_META}.JobId", "String", "identity of the run", _result(lambda r: r.run_id), _no_result, RESULT
+        f"{LAST_META}.JobId", "String", "identity of the run", _result(lambda r: r.run_id), no_result, RESULT
     ),
     MachineVariable(
-        f"{LAST_META}.CreationTime", "DateTime", "end of the run", _result(lambda r: r.ended), _no_result, RESULT
+        f"{LAST_META}.CreationTime", "DateTime", "end of the run", _result(lambda r: r.ended), no_result, RESULT
     ),
     MachineVariable(
         f"{LAST_META}.ResultEvaluation", "Int32", "verdict: 1 OK, 2 NotOK, 3 NotDecidable",
-        _result(lambda r: _EVALUATION.get(r.verdict.look, _UNDECIDABLE)), _no_result, RESULT, enumeration=3002,
+        _result(lambda r: _EVALUATION.get(r.verdict.look, _UNDECIDABLE)), no_result, RESULT, enumeration=3002,
     ),
     MachineVariable(
         f"{LAST_META}.ResultEvaluationDetails", "LocalizedText", "verdict as a sentence",
-        _result(lambda r: r.verdict.sentence["en"]), _no_result, RESULT,
+        _result(lambda r: r.verdict.sentence["en"]), no_result, RESULT,
     ),
     MachineVariable(
         f"{LAST}.Verdict", "String", "verdict as a stable word, such as accepted",
-        _result(lambda r: r.verdict.name), _no_result, NAMESPACE,
+        _result(lambda r: r.verdict.name), no_result, NAMESPACE,
     ),
     MachineVariable(
         f"{LAST}.VE", "Double", "µm, volumetric error without a table, aligned",
-        _result(lambda r: r.ve_um), _no_result, NAMESPACE, in_micrometres=True,
+        _result(lambda r: r.ve_um), no_result, NAMESPACE, in_micrometres=True,
     ),
     MachineVariable(
         f"{LAST}.VCE", "Double", "µm, volumetric error with the table active at the end of the run, aligned",
-        _result(lambda r: r.vce_um), _no_result, NAMESPACE, in_micrometres=True,
+        _result(lambda r: r.vce_um), no_result, NAMESPACE, in_micrometres=True,
     ),
 )  # fmt: skip
 
@@ -256,20 +269,20 @@ STATE_MACHINES: Final = (
         "Production.ActiveProgram.State",
         PROGRAM_STATE,
         "Initializing, Running, Interrupted, Ended or Aborted: the last run since the start of the service",
-        lambda f: None if f.status.run_id is None else PROGRAM_STATES[f.status.state],
-        _no_run,
+        program_state,
+        no_run,
         numbered=True,
     ),
     StateMachine(
         f"{_BLOCKS}.MachineryItemState",
         ITEM_STATE,
         "during a run Executing or, in the preflight and while it is held, NotExecuting; otherwise no value",
-        lambda f: _AT_WORK.get(f.status.state),
+        lambda f: AT_WORK.get(f.status.state),
     ),
     StateMachine(
         f"{_BLOCKS}.MachineryOperationMode",
         OPERATION_MODE,
         "Maintenance during a run; otherwise no value",
-        lambda f: "Maintenance" if f.status.state in _AT_WORK else None,
+        lambda f: "Maintenance" if f.status.state in AT_WORK else None,
     ),
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Mapping
 from copy import copy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,11 +23,16 @@ from agent.service.opcua.companion_types import (
     ALERT,
     MACHINE_TOOL_TYPE,
     MACHINES,
+    MEASURING,
+    MEASURING_RESULT,
+    MEASURING_SYSTEM,
     MONITORED_ELEMENT,
+    PERIPHERAL,
+    PERIPHERALS,
     RESULT_READY,
     CompanionType,
 )
-from agent.service.opcua.last_calibration import CalibrationResult, last_calibration
+from agent.service.opcua.last_calibration import CalibrationResult, last_calibration, stylus_qualified
 from agent.service.opcua.machine_model import (
     ALERTS,
     CALIBRATION,
@@ -46,6 +52,7 @@ from agent.service.opcua.machine_model import (
     OptionalPart,
     StateMachine,
 )
+from agent.service.opcua.measuring_model import PERIPHERAL_ROOT, Addition, additions_of
 from agent.service.opcua.model import ALARM_EVENT
 from agent.service.opcua.node_sets import load_node_sets
 from agent.settings.opcua import OpcUaSettings
@@ -69,6 +76,9 @@ class MachineSpace:
         self._settings = settings
         self._state_directory = state_directory
         self._result: CalibrationResult | None = None
+        self._stylus_qualified: bool | None = None
+        self._variables: tuple[MachineVariable, ...] = MACHINE_VARIABLES
+        self._state_machines: tuple[StateMachine, ...] = STATE_MACHINES
         self._own = ua.Int16(0)
         self._indices: dict[str, int] = {}
         self._alerts = EventGenerator(server.iserver.isession)
@@ -81,23 +91,27 @@ class MachineSpace:
     async def build(self, own: int, name: str) -> None:
         """Add the machine `name`. `own` is the index of the own namespace, whose nodes already exist. Raise
         EndpointUnavailable if the node sets cannot be loaded."""
-        await load_node_sets(self._server, self._settings.node_sets)
+        loaded = await load_node_sets(self._server, self._settings)
         self._own = ua.Int16(own)
         self._indices = {uri: place for place, uri in enumerate(await self._server.get_namespace_array())}
-        machines, machine_type = self._type(MACHINES), self._type(MACHINE_TOOL_TYPE)
-        await instantiate(
-            machines, machine_type, self._id(MACHINE), ua.QualifiedName(name, self._own), ua.LocalizedText(name),
-            instantiate_optional=False,
-        )  # fmt: skip
+        additions = additions_of(loaded)
+        self._variables += tuple(variable for one in additions for variable in one.variables)
+        self._state_machines += tuple(machine for one in additions for machine in one.state_machines)
+        measures = MEASURING in loaded
+        await self._add_to_machines(MEASURING_SYSTEM if measures else MACHINE_TOOL_TYPE, MACHINE, name)
+        if PERIPHERALS in loaded:
+            await self._add_to_machines(PERIPHERAL, f"{MACHINE}.{PERIPHERAL_ROOT}", f"{name} touch probe")
         for part in PARTS:
-            await self._add_part(part)
+            await self._add_part(replace(part, type=MEASURING_RESULT) if measures and part.path == LAST else part)
         await self._add_calibration()
         for place, part_path in SHARED_PARTS:
             await self._node(place).add_reference(self._node(part_path), ObjectIds.HasAddIn)
-        for variable in MACHINE_VARIABLES:
+        for one in additions:
+            await self._add_parts_of(one)
+        for variable in self._variables:
             if variable.namespace:
                 await self._add_variable(variable)
-        for machine in STATE_MACHINES:
+        for machine in self._state_machines:
             self._states[machine.path] = await self._states_of(machine)
         await self._alerts.init(self._type(ALERT), self._node(ALERTS))
         # The type has no default value from which asyncua could learn the type of this field.
@@ -105,20 +119,21 @@ class MachineSpace:
         await self._ready.init(await self._own_type(RESULT_READY, READY_EVENT), self._node(RESULTS))
 
     async def read_result(self) -> None:
-        """Read the result of the last calibration from the journal, in a thread. If the journal cannot be read, the
-        result that was read before stays."""
+        """Read the result of the last calibration and the qualification of the stylus from the journal, in a thread. If
+        the journal cannot be read, what was read before stays."""
         try:
             self._result = await asyncio.to_thread(last_calibration, self._state_directory)
+            self._stylus_qualified = await asyncio.to_thread(stylus_qualified, self._state_directory)
         except VolcalError as error:
             log.warning("result of the last calibration not read", error=str(error))
 
     async def show(self, status: Status) -> None:
         """Update the nodes that have changed since the last call. Send an event about a new result, which a client can
         read then."""
-        facts = Facts(status, self._settings.identification, self._result)
-        for variable in MACHINE_VARIABLES:
-            await self._write(variable.path, _data_value(variable.form, variable.of(facts), variable.awaited(facts)))
-        for machine in STATE_MACHINES:
+        facts = Facts(status, self._settings, self._result, self._stylus_qualified)
+        for variable in self._variables:
+            await self._write(variable.path, self._value(variable, facts))
+        for machine in self._state_machines:
             await self._show_state(machine, facts)
         await self._show_result()
         if self._result is not None and self._result != self._told:
@@ -152,7 +167,23 @@ class MachineSpace:
             setattr(found.event, field, value)
         await found.trigger(message=f"{alarm.text}. {alarm.hint}" if alarm.hint else alarm.text)
 
+    async def _add_to_machines(self, kind: CompanionType, path: str, name: str) -> None:
+        await instantiate(
+            self._type(MACHINES), self._type(kind), self._id(path), ua.QualifiedName(name, self._own),
+            ua.LocalizedText(name), instantiate_optional=False,
+        )  # fmt: skip
+
+    async def _add_parts_of(self, addition: Addition) -> None:
+        for part in addition.parts:
+            await self._add_part(part)
+        for place, reference, part_path in addition.shared_parts:
+            await self._node(place).add_reference(self._node(part_path), getattr(ObjectIds, reference))
+
     async def _add_part(self, part: OptionalPart) -> None:
+        """Add a part, unless the type of what is above has made it already: other versions of a node set may have as
+        mandatory what is optional in another."""
+        if await self._exists(part.path):
+            return
         above, _, name = f"{MACHINE}.{part.path}".rpartition(".")
         parent = self._server.get_node(self._id(above))
         browse_name = ua.QualifiedName(name, ua.UInt16(self._indices[part.namespace]))
@@ -160,10 +191,20 @@ class MachineSpace:
             parent, self._type(part.type), self._id(f"{MACHINE}.{part.path}"), browse_name, ua.LocalizedText(name),
             instantiate_optional=False,
         )  # fmt: skip
-        if part.add_in:  # asyncua attaches what stands in a folder with Organizes
-            node = self._node(part.path)
-            await parent.add_reference(node, ObjectIds.HasAddIn)
-            await parent.delete_reference(node, ObjectIds.Organizes)
+        if part.reference:
+            # asyncua attaches what stands in a folder with Organizes, and all else with HasComponent
+            node, wanted = self._node(part.path), getattr(ObjectIds, part.reference)
+            await parent.add_reference(node, wanted)
+            for other in {ObjectIds.Organizes, ObjectIds.HasComponent} - {wanted}:
+                if node in await parent.get_referenced_nodes(other, ua.BrowseDirection.Forward, includesubtypes=False):
+                    await parent.delete_reference(node, other)
+
+    async def _exists(self, path: str) -> bool:
+        try:
+            await self._node(path).read_browse_name()
+        except ua.UaError:
+            return False
+        return True
 
     async def _add_calibration(self) -> None:
         """Add the element that shows the run: ElementMonitoringType is abstract, so it has a type of its own."""
@@ -181,16 +222,18 @@ class MachineSpace:
 
     async def _add_variable(self, variable: MachineVariable) -> None:
         above, _, name = variable.path.rpartition(".")
-        index = self._indices[variable.namespace]
-        kind = ua.VariantType[variable.form]
+        index, kind = self._indices[variable.namespace], _variant_type(variable.form)
         data_type = (
             ua.NodeId(ua.Int32(variable.enumeration), ua.Int16(index))
             if variable.enumeration is not None
-            else ua.NodeId(getattr(ObjectIds, variable.form))
+            else ua.NodeId(getattr(ObjectIds, variable.form.removesuffix("[]")))
         )
         parent, node_id = self._node(above), self._id(f"{MACHINE}.{variable.path}")
-        add = parent.add_property if above == "Identification" else parent.add_variable
-        node = await add(node_id, ua.QualifiedName(name, ua.UInt16(index)), ua.get_default_value(kind), kind, data_type)
+        if await self._exists(variable.path):
+            return
+        add = parent.add_property if variable.is_property else parent.add_variable
+        empty = [] if variable.form.endswith("[]") else ua.get_default_value(kind)
+        node = await add(node_id, ua.QualifiedName(name, ua.UInt16(index)), empty, kind, data_type)
         if variable.in_micrometres:
             await node.delete_reference(
                 self._server.get_node(ObjectIds.BaseDataVariableType), ObjectIds.HasTypeDefinition
@@ -230,6 +273,13 @@ class MachineSpace:
         for path, value in zip((LAST_META, LAST), (None, None) if result is None else _structures(result), strict=True):
             await self._write(path, _data_value("ExtensionObject", value, result is None))
 
+    def _value(self, variable: MachineVariable, facts: Facts) -> ua.DataValue:
+        value = variable.of(facts)
+        if isinstance(value, tuple):
+            nodes = variable.form == "NodeId[]"
+            return _data_value(variable.form, [self._id(f"{MACHINE}.{one}") if nodes else one for one in value], False)
+        return _data_value(variable.form, value, variable.awaited(facts))
+
     async def _write(self, path: str, value: ua.DataValue) -> None:
         shown = value.Value, value.StatusCode
         if self._shown.get(path) != shown:
@@ -252,7 +302,13 @@ def _data_value(form: str, value: MachineValue | ua.NodeId | object | None, awai
         code = StatusCodes.BadWaitingForInitialData if awaited else StatusCodes.BadNoData
         return ua.DataValue(StatusCode=ua.StatusCode(ua.UInt32(code)))
     shown = ua.LocalizedText(str(value)) if form == "LocalizedText" else value
-    return ua.DataValue(ua.Variant(shown, ua.VariantType[form]), StatusCode=ua.StatusCode(ua.UInt32(StatusCodes.Good)))
+    return ua.DataValue(ua.Variant(shown, _variant_type(form)), StatusCode=ua.StatusCode(ua.UInt32(StatusCodes.Good)))
+
+
+def _variant_type(form: str) -> ua.VariantType:
+    built_in = {"Duration": "Double"}
+    name = form.removesuffix("[]")
+    return ua.VariantType[built_in.get(name, name)]
 
 
 def _structures(result: CalibrationResult) -> tuple[object, object]:

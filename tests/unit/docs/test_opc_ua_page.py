@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 from agent.service.opcua.machine_model import MACHINE_VARIABLES, STATE_MACHINES
+from agent.service.opcua.measuring_model import ADDITIONS
 from agent.service.opcua.model import (
     EVENT_TYPES,
     METHODS,
@@ -15,7 +16,7 @@ from agent.service.opcua.model import (
     VARIABLES,
     Argument,
 )
-from agent.service.opcua.node_sets import NODE_SETS, read_node_sets
+from agent.service.opcua.node_set_files import NODE_SETS, read_node_sets
 
 PAGE = (Path(__file__).parents[3] / "docs" / "reference" / "opc-ua.md").read_text(encoding="utf-8")
 
@@ -53,6 +54,14 @@ def test_every_node_of_the_machine_stands_on_the_page():
     variables = [[f"`{one.path}`", one.form, one.meaning] for one in MACHINE_VARIABLES]
     machines = [[f"`{one.path}`", one.type.name, one.meaning] for one in STATE_MACHINES]
     assert section("Machine") == variables + machines
+
+
+def test_every_node_of_a_further_node_set_stands_on_the_page():
+    for addition in ADDITIONS:
+        variables = [[f"`{one.path}`", one.form, one.meaning] for one in addition.variables]
+        machines = [[f"`{one.path}`", one.type.name, one.meaning] for one in addition.state_machines]
+        assert section(addition.specification) == variables + machines
+        assert addition.namespace in PAGE
 
 
 def test_every_node_set_that_is_shipped_stands_on_the_page_and_has_its_licence():

@@ -2,34 +2,43 @@
 import { number } from "./language.js";
 
 /* globals ring, disc, line, between */
-const LEAST_PX = 3.5, MARK_PX = 6, NEXT_PX = 9, FAINT = 0.4;
+const LEAST_PX = 3.5, MARK_PX = 6, NEXT_PX = 9, EDGE_PX = 1.5, FAINT = 0.4;
 
-/* Those of other positions than `current` are faint, as their bodies are. Returns the states that were met. */
+/* Those of other positions than `current` are faint, as their bodies are. An edge in the colour of the paper sets each mark
+   off from the bar behind it. Returns the states that were met. */
 export function markBalls(context, onScreen, stateOf, current, colours) {
   const met = new Set();
   for (const { x, y, size, ball, placing } of onScreen) {
     context.globalAlpha = placing === current ? 1 : FAINT;
     const state = stateOf(placing, ball);
     met.add(state);
-    if (state === "measured") disc(context, x, y, Math.max(LEAST_PX, size), colours.go);
-    else if (state === "lost") cross(context, x, y, Math.max(MARK_PX, size), colours.red);
-    else if (state === "rejected") diamond(context, x, y, Math.max(MARK_PX, size) + 2, colours.wait);
+    if (state === "measured") {
+      disc(context, x, y, Math.max(LEAST_PX, size) + EDGE_PX, colours.paper);
+      disc(context, x, y, Math.max(LEAST_PX, size), colours.accepted);
+    } else if (state === "lost") cross(context, x, y, Math.max(MARK_PX, size), colours);
+    else if (state === "rejected") diamond(context, x, y, Math.max(MARK_PX, size) + 2, colours);
     else if (state === "next") ring(context, x, y, Math.max(NEXT_PX, size + 5), colours.pathNow, 3.5);
   }
   context.globalAlpha = 1;
   return met;
 }
 
-function cross(context, x, y, size, colour) {
-  line(context, [x - size, y - size], [x + size, y + size], 3, colour);
-  line(context, [x - size, y + size], [x + size, y - size], 3, colour);
+function cross(context, x, y, size, { paper, red }) {
+  for (const [longer, width, colour] of [[EDGE_PX, 3 + 2 * EDGE_PX, paper], [0, 3, red]]) {
+    const half = size + longer;
+    line(context, [x - half, y - half], [x + half, y + half], width, colour);
+    line(context, [x - half, y + half], [x + half, y - half], width, colour);
+  }
 }
 
-function diamond(context, x, y, size, colour) {
-  context.fillStyle = colour;
+function diamond(context, x, y, size, { paper, waitInk }) {
   context.beginPath();
   for (const [dx, dy] of [[0, -size], [size, 0], [0, size], [-size, 0]]) context.lineTo(x + dx, y + dy);
   context.closePath();
+  context.lineWidth = 2 * EDGE_PX;
+  context.strokeStyle = paper;
+  context.stroke();
+  context.fillStyle = waitInk;
   context.fill();
 }
 

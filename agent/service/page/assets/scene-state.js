@@ -1,10 +1,9 @@
 /* What the live view shows of a run: the position being measured, the place on its path, and the state of each ball. */
 import { number, say } from "./language.js";
 import { seen } from "./store.js";
-import { placeOf } from "./wording.js";
+import { placeOf, wasRejected } from "./wording.js";
 
 /* globals distance */
-const NOT_MET = /\bmet nothing\b/;
 
 /* Visit that the step belongs to; the first one if nothing is being measured. */
 export function visitOf(plan, step) {
@@ -43,7 +42,7 @@ export function ballStates(phase, step) {
   const now = placeOf(step) ? phase : null;
   const ofPhase = (steps) => steps.map(ballOf).filter((found) => found && (now === null || found.phase === now)).map(({ key }) => key);
   const measured = new Set(ofPhase(seen.balls.map((ball) => ball.key)));
-  const rejected = new Set(ofPhase(seen.lost.filter(({ reason }) => !NOT_MET.test(reason ?? "")).map(({ key }) => key)));
+  const rejected = new Set(ofPhase(seen.lost.filter(wasRejected).map(({ key }) => key)));
   const lost = new Set(ofPhase(seen.lost.map(({ key }) => key)));
   const [next] = now === null ? [] : ofPhase([step]);
   return (placing, ball) => {

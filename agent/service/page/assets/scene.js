@@ -11,7 +11,7 @@ import { on, seen } from "./store.js";
 import { onTheme } from "./theme.js";
 
 /* globals Camera, readPlan, paint, boxCorners, added */
-const COLOURS = ["paper", "ink", "quiet", "red", "steel", "ram", "probe", "table", "path", "path-now", "go", "wait", "accent"];
+const COLOURS = ["paper", "ink", "quiet", "red", "steel", "ram", "probe", "table", "path", "path-now", "accepted", "wait-ink", "accent"];
 const VIEWS = ["isometric", "xy", "xz", "yz"], BALLS = ["measured", "next", "rejected", "lost", "unreached"];
 const PREPARING = ["preflight", "resuming"];
 const ALWAYS_TOLD = new Set(["measured", "next"]);
@@ -195,6 +195,6 @@ function setText(element, text) {
 function coloursNow() {
   const style = getComputedStyle(document.documentElement);
   const value = (name) => style.getPropertyValue(`--${name}`).trim();
-  const colours = Object.fromEntries(COLOURS.map((name) => [name === "path-now" ? "pathNow" : name, value(name)]));
+  const colours = Object.fromEntries(COLOURS.map((name) => [name.replace(/-./, ([, letter]) => letter.toUpperCase()), value(name)]));
   return { ...colours, station: (number) => value(`station-${(number - 1) % 8}`) };
 }

@@ -78,10 +78,13 @@ export function placeOf(step) {
   return { phase, station: Number(station), azimuth, elevation, ball: ball === undefined ? null : Number(ball) };
 }
 
+/* A ball that could not be measured was rejected, unless a touch met nothing where it should be: then it was not found. */
+export const wasRejected = ({ reason }) => !/\bmet nothing\b/.test(reason ?? "");
+
 /* Text of an event from the catalogue if it has one, otherwise the text of the service. */
 export function eventText({ kind, text, data }) {
   if (kind === "state") return stateWord(data.state);
-  if (kind === "lost") return say("event.lost", { place: stepWords(text) });
+  if (kind === "lost") return say(wasRejected(data) ? "event.rejected" : "event.lost", { ball: placeOf(text)?.ball ?? "", place: stepWords(text.replace(/\/ball-.*/, "")) });
   if (kind === "alarm") return say("event.alarm", { code: data.code });
   if (kind === "outcome") return data.verdict ? verdictWord(data.verdict) : stateWord(data.state);
   return told(text);
