@@ -308,21 +308,23 @@ def _load_on_beam(beam: StructuralBeam, load: BeamLoad, chain: Chain, ranges_mm:
 def _of_carriage(
     beam: StructuralBeam, moved: Vector, turned: Vector, chain: Chain, ranges_mm: Ranges
 ) -> tuple[Vector, Vector]:
-    """Return displacement and rotation of the carriage that the tool or the workpiece stands on: the carriage of the
-    beam itself, or that of the crossbeam, one end of which follows the beam."""
+    """Return the error motions of the beam's axis: displacement and rotation of its carriage. With a crossbeam, one end
+    of which follows the beam, they are the displacement of the crossbeam where its carriage stands at the lower end of
+    the range, since the lever arm of the rotation contains the travel from there, and the rotation at the carriage."""
     bridge = beam.crossbeam
     if bridge is None:
         return moved, turned
     across = AXES.index(bridge.axis)
     low, high = ranges_mm[across]
-    share = bridge.share(AxisPolynomial.linear(across, low, high - low))
+    at_carriage = bridge.share(AxisPolynomial.linear(across, low, high - low))
+    at_low = bridge.share(AxisPolynomial.constant(low))
     sense = 1.0 if beam.axis in chain.tool_side else -1.0
     length = sense * (bridge.other_mm - bridge.here_mm)
     # a crossbeam that is displaced by u at this end only has the slope -u / D along its direction m: rotation m × -u/D
     slope = _vector([_ZERO if axis == across else part * (-1.0 / length) for axis, part in enumerate(moved)])
     rotation = list(_cross(_unit(across), slope))
-    rotation[across] = share * turned[across]
-    return _vector([_ZERO if axis == across else share * part for axis, part in enumerate(moved)]), _vector(rotation)
+    rotation[across] = at_carriage * turned[across]
+    return _vector([_ZERO if axis == across else at_low * part for axis, part in enumerate(moved)]), _vector(rotation)
 
 
 def _marked_redundant(terms: Sequence[DerivedTerm], model: ErrorModel) -> tuple[DerivedTerm, ...]:
