@@ -53,6 +53,7 @@ ROOMS = (
     "twin/machine/error_model.py",
     "twin/machine/kinematic_chain.py",
     "twin/machine/machine_description.py",
+    "twin/machine/structure.py",
     "twin/workpiece",
 )
 """Rooms whose sentences reach a person: during a run, when a run is started with its files, and in documents."""

@@ -104,14 +104,14 @@ class StructuralBeam:
 
 @dataclass(frozen=True)
 class DerivedTerm:
-    """Term of the cross-effect derived from the beam `beam`.
+    """Term of the cross-effect derived from the beams called `beams`.
 
     `expected` is the value of its parameter in mm or rad if masses and stiffnesses are as stated; None if one of them
     is unknown. `redundant` is True if the error motions of the model can represent the term.
     """
 
     term: CrossTerm
-    beam: str
+    beams: tuple[str, ...]
     expected: float | None
     redundant: bool = False
 
@@ -143,10 +143,10 @@ def derive_terms(beams: Sequence[StructuralBeam], model: ErrorModel) -> tuple[De
             key = (error_name, polynomial)
             known = found.get(key)
             if known is None:
-                found[key] = DerivedTerm(CrossTerm(name, error_name, polynomial), beam.name, expected)
+                found[key] = DerivedTerm(CrossTerm(name, error_name, polynomial), (beam.name,), expected)
             else:
                 total = None if known.expected is None or expected is None else known.expected + expected
-                found[key] = replace(known, expected=total)
+                found[key] = replace(known, beams=(*known.beams, beam.name), expected=total)
     return _marked_redundant(tuple(found.values()), model)
 
 
@@ -170,15 +170,16 @@ def _check(beam: StructuralBeam, chain: Chain, ranges_mm: Ranges) -> None:
     carried = _carried(chain, beam.axis)
     bridge = beam.crossbeam
     if bridge is not None:
-        if bridge.axis not in carried:
-            raise ModelError(f"the carriage of {beam.axis} does not carry the axis {bridge.axis} of the crossbeam")
+        crossing = bridge.axis
+        if crossing not in carried:
+            raise ModelError(f"the carriage of {beam.axis} does not carry the axis {crossing} of the crossbeam")
         if bridge.axis == "Z":
             raise ModelError("a crossbeam is horizontal, so its axis is X or Y")
         cross_low, cross_high = ranges_mm[AXES.index(bridge.axis)]
         if not min(bridge.here_mm, bridge.other_mm) <= cross_low < cross_high <= max(bridge.here_mm, bridge.other_mm):
             raise ModelError(
                 f"the ends of the crossbeam at {bridge.here_mm:g} and {bridge.other_mm:g} mm do not enclose the range "
-                f"of {bridge.axis}, {cross_low:g} to {cross_high:g} mm"
+                f"of {crossing}, {cross_low:g} to {cross_high:g} mm"
             )
     for load in beam.loads:
         if load.carried_by != beam.axis and load.carried_by not in carried:

@@ -16,8 +16,11 @@ def deflected_beam(
     bending_n_mm2: float,
     elements: int = 24,
 ) -> tuple[float, float]:
-    """Return deflection (mm) and slope (rad) of a beam at the distance `at_mm` from its first end, where a force across
-    it and a moment in the direction of its slope act. `ends`: "cantilever" (free second end), "supported", "clamped"."""
+    """Return deflection (mm) and slope (rad) of a beam at the distance `at_mm` from its first end.
+
+    A force across the beam and a moment in the direction of its slope act there. `ends` is "cantilever" (with a free
+    second end), "supported" or "clamped".
+    """
     before = max(1, min(elements - 1, round(elements * at_mm / length_mm)))
     nodes = np.unique(
         np.concatenate((np.linspace(0.0, at_mm, before + 1), np.linspace(at_mm, length_mm, elements - before + 1)))

@@ -12,6 +12,7 @@ from measured_set import RANGES, TOOL, bar, measured
 
 from benchmarks.family import AMPLITUDES
 from twin.errors import ModelError
+from twin.formats.estimate_file import format_estimate, parse_estimate
 from twin.identification import identify
 from twin.machine.axis_polynomial import AxisPolynomial
 from twin.machine.beam_flexibility import ENDS, beam_flexibility
@@ -130,8 +131,8 @@ def test_a_crossrail_on_two_columns():
 
 
 def crossrail_by_hand(y, z):
-    """Return the error motions of the rail: the moment m g e about Y is shared by the columns at -100 and 1500 mm, which
-    lean forwards and twist the rail; no force bends them."""
+    """Return the error motions of the rail. The columns at -100 and 1500 mm share the moment m g e about Y, lean
+    forwards and twist the rail; no force bends them."""
     moment, height, share = 1800.0 * GRAVITY * 250.0, 600.0 + z, (y + 100.0) / 1600.0
     left, right = (1.0 - share) * moment / 3e15, share * moment / 3e15
     lean_left, lean_right = left * height**2 / 2.0, right * height**2 / 2.0
@@ -216,6 +217,8 @@ def test_a_portal_is_corrected_better_with_its_beams():
         left[len(structure)] = rms(align_rigidly(grid + TOOL, error))
     without, with_beams = left.values()
     assert with_beams < 0.4 * without
+    # the terms are stored with the estimate
+    assert parse_estimate(format_estimate(found, {}), "estimate.json").model == found.model == model
 
 
 def test_exact_and_linear_deviation_agree():
