@@ -14,23 +14,11 @@ from twin.machine.axis_polynomial import AxisPolynomial
 from twin.machine.cross_term import CrossTerm
 from twin.uncertainty.residual_field_form import joint_model
 
-MACHINES = Path(__file__).parents[3] / "config" / "machines"
+ROOT = Path(__file__).parents[3]
+MACHINES = ROOT / "config" / "machines"
 PLAIN = (MACHINES / "case-study.toml").read_text(encoding="utf-8")
-COLUMN = """
-[[beams]]
-name = "column"
-axis = "Z"
-ends = "cantilever"
-supports_mm = [-500.0]
-youngs_modulus_gpa = 120.0
-second_moment_mm4 = 3.3e10
-
-[[beams.loads]]
-name = "ram"
-carried_by = "Y"
-mass_kg = 1500.0
-centre_mm = [0.0, 250.0, 0.0]
-"""
+REFERENCE = (ROOT / "docs" / "reference" / "files.md").read_text(encoding="utf-8")
+COLUMN = "\n" + REFERENCE.split("```toml\n[[beams]]", 1)[1].split("```", 1)[0].join(("[[beams]]", ""))
 TEXT = "\n".join(line for line in PLAIN.splitlines() if not line.startswith("cross_effect")) + COLUMN
 
 
