@@ -43,7 +43,7 @@ class CrossbeamSection(StrictModel):
         return self
 
 
-class BeamSection(StrictModel):
+class StructuralBeamSection(StrictModel):
     """Section of a machine file for a beam. `second_moment_mm4` and `youngs_modulus_gpa` give its bending stiffness,
     `torsion_constant_mm4` and `shear_modulus_gpa` its torsional stiffness."""
 
@@ -60,7 +60,7 @@ class BeamSection(StrictModel):
     torsion_constant_mm4: Positive | None = None
 
     @model_validator(mode="after")
-    def _stiffness_is_complete(self) -> BeamSection:
+    def _stiffness_is_complete(self) -> StructuralBeamSection:
         for modulus, moment in (
             ("youngs_modulus_gpa", "second_moment_mm4"),
             ("shear_modulus_gpa", "torsion_constant_mm4"),
@@ -71,7 +71,7 @@ class BeamSection(StrictModel):
         return self
 
     @model_validator(mode="after")
-    def _names_differ(self) -> BeamSection:
+    def _names_differ(self) -> StructuralBeamSection:
         _require_distinct([load.name for load in self.loads], "load")
         return self
 
@@ -96,13 +96,13 @@ def _require_distinct(names: list[str], kind: str) -> None:
             raise ValueError(f"two {kind}s are called '{name}'; give each {kind} a name of its own")
 
 
-def require_distinct_beams(beams: tuple[BeamSection, ...]) -> tuple[BeamSection, ...]:
+def require_distinct_beams(beams: tuple[StructuralBeamSection, ...]) -> tuple[StructuralBeamSection, ...]:
     """Return the beams. Raises ValueError if two of them have the same name."""
     _require_distinct([beam.name for beam in beams], "beam")
     return beams
 
 
-def derived_from(beams: tuple[BeamSection, ...], model: ErrorModel, source: str) -> tuple[DerivedTerm, ...]:
+def derived_from(beams: tuple[StructuralBeamSection, ...], model: ErrorModel, source: str) -> tuple[DerivedTerm, ...]:
     """Return the terms of the cross-effect that follow from the beams of a machine file. Raises FormatError, which
     names the file `source` and the beam, if a beam does not suit the machine."""
     try:

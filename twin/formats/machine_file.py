@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from twin.errors import FormatError, TwinError
-from twin.formats.beam_section import BeamSection, derived_from, require_distinct_beams
+from twin.formats.beam_section import StructuralBeamSection, derived_from, require_distinct_beams
 from twin.formats.deflection_file import parse_deflection
 from twin.formats.toml_reading import StrictModel, read_toml
 from twin.machine.cross_term import COLUMN_AND_RAM
@@ -96,7 +96,7 @@ class MachineSection(StrictModel):
     axes: AxesSection
     tools: Annotated[dict[str, ToolSection], Field(min_length=1)]
     model: ModelSection = ModelSection()
-    beams: Annotated[tuple[BeamSection, ...], AfterValidator(require_distinct_beams)] = ()
+    beams: Annotated[tuple[StructuralBeamSection, ...], AfterValidator(require_distinct_beams)] = ()
     deflection: DeflectionSection | None = None
 
 

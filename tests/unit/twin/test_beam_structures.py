@@ -21,7 +21,7 @@ from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import exact_deviation, linear_deviation
 from twin.machine.kinematic_chain import parse_chain
 from twin.machine.machine_population import family_from_amplitudes
-from twin.machine.structure import BeamLoad, Crossbeam, StructuralBeam, derive_terms
+from twin.machine.structure import BeamLoad, Crossbeam, DerivedTerm, StructuralBeam, derive_terms
 from twin.machine.volumetric import align_rigidly, evaluation_grid, rms
 
 COLUMN_MACHINE = ErrorModel.uniform(parse_chain("tool-Y-Z-X-bed-workpiece"), RANGES, 5, ())
@@ -29,6 +29,12 @@ PORTAL_MACHINE = ErrorModel.uniform(parse_chain("tool-Z-Y-X-bed-workpiece"), RAN
 RAM = BeamLoad("ram", "Y", (0.0, 300.0, 0.0), mass_kg=2000.0)
 COLUMN = StructuralBeam("column", "Z", "cantilever", (-500.0,), (RAM,), bending_n_mm2=4e15)
 GRAVITY = 9.80665
+
+
+def stated(derived: DerivedTerm) -> float:
+    """Return the expected value of a term whose masses and stiffnesses are stated."""
+    assert derived.expected is not None
+    return derived.expected
 
 
 def value(coefficients, s):
@@ -124,7 +130,7 @@ def test_a_crossrail_on_two_columns():
     wanted = {error: motions[error] - crossrail_by_hand(0.0 * y, 1500.0 * z)[error] for error in motions}
     found = {error: np.zeros(30) for error in wanted}
     for one in derived:
-        found[one.term.error] += one.expected * one.term.polynomial.at([0.0 * y, y, z])
+        found[one.term.error] += stated(one) * one.term.polynomial.at([0.0 * y, y, z])
     assert set(found) == {"EXZ", "EBZ", "ECZ"}
     for error, values in wanted.items():
         np.testing.assert_allclose(found[error], values, atol=1e-9 * np.abs(values).max())
@@ -190,7 +196,7 @@ def test_the_derived_portal_is_the_one_of_many_elements():
     derived = derive_terms(portal_beams(), PORTAL_MACHINE)
     model = replace(PORTAL_MACHINE, structure=tuple(one.term for one in derived))
     values = np.zeros(model.size)
-    values[PORTAL_MACHINE.size :] = [one.expected for one in derived]
+    values[PORTAL_MACHINE.size :] = [stated(one) for one in derived]
     grid = evaluation_grid(RANGES, (9, 5, 5))
     rest = align_rigidly(grid + TOOL, portal_truth(grid, TOOL) - linear_deviation(model, grid, TOOL, values))
     series = deviation_basis(PORTAL_MACHINE, grid, TOOL).reshape(-1, PORTAL_MACHINE.size)
@@ -205,7 +211,9 @@ def test_the_derived_portal_is_the_one_of_many_elements():
 def test_a_portal_is_corrected_better_with_its_beams():
     derived = derive_terms(portal_beams(), PORTAL_MACHINE)
     active = tuple(one for one in derived if not one.redundant)
-    sizes = {one.term.name: (1e3 if one.term.unit == "mm" else 1e6) * abs(one.expected) for one in active}
+    sizes: dict[str, float | list[float]] = {
+        one.term.name: (1e3 if one.term.unit == "mm" else 1e6) * abs(stated(one)) for one in active
+    }
     artefact, rng = bar(7), np.random.default_rng(5)
     grid = evaluation_grid(RANGES, (12, 6, 6))
     seen = measured("S3", 3, artefact, portal_truth, rng, sigma_mm=5e-4)
@@ -225,7 +233,7 @@ def test_exact_and_linear_deviation_agree():
     derived = derive_terms(portal_beams(), PORTAL_MACHINE)
     model = replace(PORTAL_MACHINE, structure=tuple(one.term for one in derived))
     values = np.zeros(model.size)
-    values[PORTAL_MACHINE.size :] = [one.expected for one in derived]
+    values[PORTAL_MACHINE.size :] = [stated(one) for one in derived]
     points = evaluation_grid(RANGES, (4, 4, 3))
     exact = exact_deviation(model, points, TOOL, values)
     np.testing.assert_allclose(exact, linear_deviation(model, points, TOOL, values), atol=5e-6)
@@ -260,5 +268,6 @@ def test_polynomials_by_hand():
     assert str(AxisPolynomial.of([((0, 1, 2), 1.0), ((0, 1, 0), -0.5)])) == "- 0.5 y + y z²"
     assert str(AxisPolynomial()) == "0"
     shape, largest = AxisPolynomial.of([((1, 0, 0), 4.0), ((2, 0, 0), -8.0)]).normalised()
-    assert (largest, shape.at([np.ones(1)] * 3)) == (-4.0, pytest.approx(1.0))
+    assert largest == -4.0
+    assert shape.at([np.ones(1)] * 3) == pytest.approx(1.0)
     assert AxisPolynomial.of([((1, 0, 0), 0.1), ((1, 0, 0), 0.2), ((1, 0, 0), -0.3)]) == AxisPolynomial()
