@@ -118,13 +118,16 @@ class DerivedTerm:
 
 @dataclass(frozen=True)
 class _Part:
-    """One contribution to an error motion of a beam's axis. `size` is that of the load over the stiffness, for which
-    `polynomial` is given; None if unknown."""
+    """One contribution to an error motion of a beam's axis.
+
+    `size` is the factor of `polynomial`, the weight of the load over the stiffness of the beam; None if unknown.
+    `cause` names the load, and the twist of the beam if it is one.
+    """
 
     error: str
     polynomial: AxisPolynomial
     size: float | None
-    load: str
+    cause: str
 
 
 def derive_terms(beams: Sequence[StructuralBeam], model: ErrorModel) -> tuple[DerivedTerm, ...]:
@@ -212,12 +215,12 @@ def _named(
             known = merged.get((part.error, shape))
             if known is not None:
                 size = None if size is None or known[0] is None else size + known[0]
-            merged[part.error, shape] = (size, suffix, known[2] if known else part.load)
+            merged[part.error, shape] = (size, suffix, known[2] if known else part.cause)
     own_names = {(term.error, term.polynomial): term.name for term in COLUMN_AND_RAM.values()}
     stems = [f"{beam.name}.{error}{suffix}" for (error, _), (_, suffix, _) in merged.items()]
-    for (error, shape), (size, suffix, load) in merged.items():
+    for (error, shape), (size, suffix, cause) in merged.items():
         stem = f"{beam.name}.{error}{suffix}"
-        name = f"{CROSS}[{stem}]" if stems.count(stem) == 1 else f"{CROSS}[{stem}.{load}]"
+        name = f"{CROSS}[{stem}]" if stems.count(stem) == 1 else f"{CROSS}[{stem}.{cause}]"
         yield own_names.get((error, shape), name), error, shape, size
 
 
@@ -263,17 +266,17 @@ def _parts(beam: StructuralBeam, load: BeamLoad, chain: Chain, ranges_mm: Ranges
     twisted = [_ZERO] * 3
     twisted[axis] = twist * moment[axis]
     weight = None if load.mass_kg is None else load.mass_kg * GRAVITY_N_PER_KG
-    kinds: tuple[tuple[list[AxisPolynomial], list[AxisPolynomial], float | None], ...] = (
-        (moved, turned, beam.bending_n_mm2),
-        ([_ZERO] * 3, twisted, beam.torsion_n_mm2),
+    kinds: tuple[tuple[list[AxisPolynomial], list[AxisPolynomial], float | None, str], ...] = (
+        (moved, turned, beam.bending_n_mm2, load.name),
+        ([_ZERO] * 3, twisted, beam.torsion_n_mm2, f"{load.name}.twist"),
     )
-    for displacement, rotation, stiffness in kinds:
+    for displacement, rotation, stiffness, cause in kinds:
         size = None if weight is None or stiffness is None else sense * weight / stiffness
         at_carriage, about = _of_carriage(beam, _vector(displacement), _vector(rotation), chain, ranges_mm)
         at_reference = _sum(at_carriage, _cross(about, _fixed(beam.reference_mm)))
         for direction, polynomial in zip(DIRECTIONS, (*at_reference, *about), strict=True):
             if polynomial.terms:
-                yield _Part(f"E{direction}{beam.axis}", polynomial, size, load.name)
+                yield _Part(f"E{direction}{beam.axis}", polynomial, size, cause)
 
 
 def _load_on_beam(beam: StructuralBeam, load: BeamLoad, chain: Chain, ranges_mm: Ranges) -> tuple[Vector, Vector]:

@@ -93,6 +93,50 @@ def test_a_structural_term_acts_as_the_term_of_column_and_ram():
     np.testing.assert_array_equal(beams, paper)
 
 
+def test_a_column_that_hangs_from_above_leans_the_other_way():
+    hanging = derive_terms([replace(COLUMN, supports_mm=(2000.0,))], COLUMN_MACHINE)
+    v, w = np.random.default_rng(3).random((2, 20))
+    found = {"EYZ": np.zeros(20), "EAZ": np.zeros(20)}
+    for one in hanging:
+        found[one.term.error] += stated(one) * one.term.polynomial.at([0.0 * v, v, w])
+    moment, length = 2000.0 * GRAVITY * 1300.0 * v / 4e15, 2000.0 - 1500.0 * w
+    np.testing.assert_allclose(found["EYZ"], -moment * length**2 / 2.0, rtol=1e-9)
+    np.testing.assert_allclose(found["EAZ"], -moment * length, rtol=1e-9)
+
+
+def test_a_reference_point_beside_the_beam_is_lifted_by_its_slope():
+    derived = derive_terms([replace(COLUMN, reference_mm=(0.0, 200.0, 0.0))], COLUMN_MACHINE)
+    by_name = {one.term.name: one for one in derived}
+    slope = stated(by_name["CROSS[c1]"])
+    assert by_name["CROSS[column.EZZ.1]"].expected == pytest.approx(200.0 * slope)
+    # EAZ[1] turns the ram with its travel y, which lifts the tool by y z; a term in y alone is one of EZY
+    assert by_name["CROSS[column.EZZ.1]"].redundant
+    assert by_name["CROSS[column.EZZ.0]"].redundant
+
+
+def test_loads_of_the_same_effect_are_one_parameter():
+    head = BeamLoad("head", "Y", (0.0, 900.0, 0.0), 500.0)
+    both = derive_terms([replace(COLUMN, loads=(RAM, head))], COLUMN_MACHINE)
+    alone = derive_terms([COLUMN], COLUMN_MACHINE)
+    assert [one.term for one in both] == [one.term for one in alone]
+    assert [stated(one) for one in both] == pytest.approx([1.25 * stated(one) for one in alone])
+    unknown = derive_terms([replace(COLUMN, loads=(RAM, replace(head, mass_kg=None)))], COLUMN_MACHINE)
+    assert {one.expected for one in unknown} == {None}
+
+
+def test_loads_of_different_effects_have_names_of_their_own():
+    beams = portal_beams()
+    ram = BeamLoad("ram", "Y", (-80.0, 200.0, 0.0), 700.0)
+    fixed = BeamLoad("motor", "X", (300.0, 900.0, 0.0), 700.0)
+    derived = derive_terms([replace(beam, loads=(*beam.loads, ram, fixed)) for beam in beams], PORTAL_MACHINE)
+    names = [one.term.name for one in derived]
+    assert len(set(names)) == len(names)
+    of_loads = {f"CROSS[left.EBX.{load}]" for load in ("bridge", "ram", "motor")}
+    # the motor has its place on the bridge, so that its share of the sag does not depend on Y
+    assert of_loads | {"CROSS[left.EZX.bridge]", "CROSS[left.EZX.ram]"} <= set(names)
+    assert "CROSS[left.EZX.motor]" not in names
+
+
 def test_a_fixed_portal_has_no_cross_effect():
     fixed = ErrorModel.uniform(parse_chain("tool-Z-Y-bed-X-workpiece"), RANGES, 5, ())
     load = BeamLoad("saddle", "Z", (200.0, 0.0, -100.0), 1500.0)
