@@ -72,7 +72,10 @@ OWN_COMMANDS = {
         "agent.cli.run_commands.calibrate:calibrate_command",
         "Measure, identify, write the table and verify it; restore the previous table if the check fails.",
     ),
-    "config": OwnCommand("agent.cli.config:config_group", "Check settings files and print their schema."),
+    "config": OwnCommand(
+        "agent.cli.config:config_group",
+        "Check settings files, show the cross-effect of a machine, and print the schema of the settings.",
+    ),
     "demo": OwnCommand(
         "agent.cli.run_commands.demo:demo_command",
         "Start the simulated machine as a process, calibrate it over TCP and CAN, and compare with the truth.",

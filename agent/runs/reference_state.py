@@ -183,7 +183,7 @@ def mismatch(job: Job, reference: ReferenceState) -> str:
     for name, old, new in (
         ("kinematic chain", str(model.chain), str(nominal.chain)),
         ("axis ranges", model.ranges_mm, nominal.ranges_mm),
-        ("cross-effect", model.cross_effect, nominal.cross_effect),
+        ("cross-effect", (model.cross_effect, model.structure), (nominal.cross_effect, nominal.structure)),
     ):
         if old != new:
             return f"the {name} of the machine has been changed since"

@@ -25,13 +25,15 @@ UNITS = {
     "_mm": "mm",
     "_um": "µm",
     "_kg": "kg",
+    "_gpa": "GPa",
+    "_mm4": "mm⁴",
     "_minutes": "min",
     "_days": "days",
     "_hours": "h",
     "_ms": "ms",
     "_s": "s",
 }
-"""Unit by the end of a key. A key with one of these ends is a length, speed, acceleration, mass or time."""
+"""Unit by the end of a key. A key with one of these ends is a length, speed, acceleration, mass, time or stiffness."""
 
 COORDINATE_MM = 30_000.0
 
@@ -143,8 +145,18 @@ MACHINE_RANGES: Mapping[str, PlausibleRange] = {
     "model.family.positioning_um": _ERROR_OF_MACHINE,
     "model.family.straightness_um": _ERROR_OF_MACHINE,
     "model.family.cross_displacement_um": _ERROR_OF_MACHINE,
+    "beams.supports_mm": _COORDINATES,
+    "beams.reference_mm": _OF_PART,
+    "beams.crossbeam.here_mm": _COORDINATES,
+    "beams.crossbeam.other_mm": _COORDINATES,
+    "beams.loads.centre_mm": _OF_PART,
+    "beams.loads.mass_kg": PlausibleRange(0.1, 100_000.0),
+    "beams.youngs_modulus_gpa": PlausibleRange(1.0, 1000.0),
+    "beams.shear_modulus_gpa": PlausibleRange(0.4, 400.0),
+    "beams.second_moment_mm4": PlausibleRange(1e3, 1e13),
+    "beams.torsion_constant_mm4": PlausibleRange(1e3, 1e13),
 }
-"""Plausible range of each length and time of a machine file, by key; * stands for one name."""
+"""Plausible range of each length, mass, time and stiffness of a machine file, by key; * stands for one name."""
 
 ARTEFACT_RANGES: Mapping[str, PlausibleRange] = {
     "ball_diameter_mm": PlausibleRange(2.0, 120.0),

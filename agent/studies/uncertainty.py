@@ -139,7 +139,7 @@ def extended_family(machine: MachineDescription) -> Family:
     """
     model = machine.model
     orders = {error: order + ORDERS_BEYOND for error, order in model.orders.items()}
-    richer = ErrorModel(model.chain, model.ranges_mm, orders, model.cross_effect)
+    richer = model.with_orders(orders)
     return family_from_amplitudes(richer, machine.amplitudes)
 
 

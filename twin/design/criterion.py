@@ -17,8 +17,6 @@ from twin.machine.rigid_motion import rigid_fields
 from twin.machine.volumetric import VolumetricRms
 
 _CHUNK = 2000  # grid points whose fields are held in memory at a time
-# w² of the cross-effect, or w and a lever arm that grows with the same axis, and one degree to spare
-_CROSS_DEGREE = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +91,7 @@ class _Fields:
         """Upper bounds of the polynomial degrees of the fields in x, y and z. The fields are Legendre series with lever
         arms, cross-effect terms and misfit modes."""
         unknowns = self.unknowns
-        highest = np.maximum(np.array(unknowns.model.highest_order) + 1, _CROSS_DEGREE)
+        highest = np.array(unknowns.model.field_degrees)
         if unknowns.modes is not None:
             highest = np.maximum(highest, np.array(unknowns.modes.degrees).max(axis=0))
         x, y, z = highest.tolist()

@@ -37,6 +37,8 @@ from twin.identification import (
 )
 from twin.identification.drift_trend import DriftTrend
 from twin.identification.unknowns import Unknowns
+from twin.machine.axis_polynomial import AxisPolynomial
+from twin.machine.cross_term import CrossTerm
 from twin.machine.error_model import ErrorModel
 from twin.machine.kinematic_chain import parse_chain
 from twin.units import MM_PER_UM, UM_PER_MM
@@ -56,7 +58,17 @@ def _without_rounding(probability: float) -> float:
 Probability = Annotated[float, AfterValidator(_without_rounding), Field(ge=0.0, le=1.0 + _ROUNDING)]
 
 Pair = tuple[float, float]
+Power = Annotated[int, Field(ge=0, le=20)]
 Triple = tuple[float, float, float]
+
+
+class CrossTermSection(StrictModel):
+    """Term of the cross-effect of a beam in an estimate file. `polynomial` contains the powers of x, y and z, as
+    fractions of the axis ranges, and a coefficient."""
+
+    name: str
+    error: str
+    polynomial: tuple[tuple[tuple[Power, Power, Power], float], ...]
 
 
 class EstimatedModelSection(StrictModel):
@@ -64,6 +76,7 @@ class EstimatedModelSection(StrictModel):
     ranges_mm: tuple[Pair, Pair, Pair]
     orders: dict[str, int]
     cross_effect: tuple[str, ...]
+    structure: tuple[CrossTermSection, ...] = ()
 
 
 class ParameterSection(StrictModel):
@@ -473,7 +486,10 @@ def parse_estimate(text: str, source: str) -> StoredEstimate:
     try:
         chain = parse_chain(document.model.chain)
         cross = document.model.cross_effect
-        model = ErrorModel(chain, document.model.ranges_mm, document.model.orders, cross)
+        structure = tuple(
+            CrossTerm(one.name, one.error, AxisPolynomial.of(one.polynomial)) for one in document.model.structure
+        )
+        model = ErrorModel(chain, document.model.ranges_mm, document.model.orders, cross, structure)
     except TwinError as error:
         raise FormatError(error.message, hint=error.hint, file=source, key="model") from None
     _check_names(document, model, source)
@@ -504,6 +520,10 @@ def _model_document(model: ErrorModel) -> dict[str, Any]:
         "ranges_mm": [list(pair) for pair in model.ranges_mm],
         "orders": dict(model.orders),
         "cross_effect": list(model.cross_effect),
+        "structure": [
+            {"name": one.name, "error": one.error, "polynomial": [list(part) for part in one.polynomial.terms]}
+            for one in model.structure
+        ],
     }
 
 

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Annotated, Literal
+from dataclasses import replace
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from twin.errors import FormatError, TwinError
+from twin.formats.beam_section import StructuralBeamSection, derived_from, require_distinct_beams
 from twin.formats.deflection_file import parse_deflection
 from twin.formats.toml_reading import StrictModel, read_toml
+from twin.machine.cross_term import COLUMN_AND_RAM
 from twin.machine.deflection import DeflectionGrid
 from twin.machine.error_model import CROSS_TERMS, DEFAULT_CROSS_EFFECT, ERROR_MOTIONS, ErrorModel, Ranges
 from twin.machine.kinematic_chain import AXES, parse_chain
 from twin.machine.machine_description import MachineDescription, Triple
 from twin.machine.machine_population import DEFAULT_DECAY, family_from_amplitudes
+from twin.machine.structure import DerivedTerm
+from twin.units import MICRO_UNITS
 
 DEFAULT_ORDER = 5
 
@@ -91,6 +96,7 @@ class MachineSection(StrictModel):
     axes: AxesSection
     tools: Annotated[dict[str, ToolSection], Field(min_length=1)]
     model: ModelSection = ModelSection()
+    beams: Annotated[tuple[StructuralBeamSection, ...], AfterValidator(require_distinct_beams)] = ()
     deflection: DeflectionSection | None = None
 
 
@@ -120,7 +126,9 @@ def _build_description(
 ) -> MachineDescription:
     ranges = _triple_of_pairs([axis.range_mm for axis in axes])
     model = ErrorModel(parse_chain(section.chain), ranges, _orders(section.model, source), _cross_effect(section.model))
-    amplitudes = section.model.family.model_dump()
+    derived = _derived(section, model, source)
+    model = replace(model, **_cross_terms(derived)) if section.beams else model
+    amplitudes = section.model.family.model_dump() | _expected_sizes(derived)
     return MachineDescription(
         name=section.name,
         model=model,
@@ -132,7 +140,35 @@ def _build_description(
         family=family_from_amplitudes(model, amplitudes),
         amplitudes=amplitudes,
         deflection=_deflection(section.deflection, source, read_text),
+        derived_terms=derived,
     )
+
+
+def _derived(section: MachineSection, model: ErrorModel, source: str) -> tuple[DerivedTerm, ...]:
+    if section.beams and "cross_effect" in section.model.model_fields_set:
+        message = "the beams of this file determine the cross-effect, so it cannot be stated as well"
+        raise FormatError(message, hint="Remove cross_effect or the beams", file=source, key="model.cross_effect")
+    return derived_from(section.beams, model, source)
+
+
+def _cross_terms(derived: Sequence[DerivedTerm]) -> dict[str, Any]:
+    """Return the fields `cross_effect` and `structure` of the error model."""
+    active = [one.term for one in derived if not one.redundant]
+    of_column = {term: short for short, term in COLUMN_AND_RAM.items()}
+    found = {of_column[term] for term in active if term in of_column}
+    return {
+        "cross_effect": tuple(short for short in CROSS_TERMS if short in found),
+        "structure": tuple(term for term in active if term not in of_column),
+    }
+
+
+def _expected_sizes(derived: Sequence[DerivedTerm]) -> dict[str, float]:
+    """Return the half-widths in µm or µrad of the terms whose size follows from masses and stiffnesses."""
+    return {
+        one.term.name: MICRO_UNITS[one.term.unit][1] * abs(one.expected)
+        for one in derived
+        if one.expected is not None and not one.redundant
+    }
 
 
 def _orders(model: ModelSection, source: str) -> dict[str, int]:

@@ -99,8 +99,8 @@ def field_form(model: ErrorModel, scale: Array, tool_offsets: Array, aligned: bo
     Parameters are in units of `scale` (p,). If `aligned` is True, the best-fitting rigid motion common to all tools is
     removed.
     """
-    highest = model.highest_order
-    grid = evaluation_grid(model.ranges_mm, (highest[0] + 5, highest[1] + 5, highest[2] + 5))
+    x, y, z = model.field_degrees
+    grid = evaluation_grid(model.ranges_mm, (x + 4, y + 4, z + 4))
     offsets = np.atleast_2d(tool_offsets)
     basis = np.concatenate([deviation_basis(model, grid, offset) * scale for offset in offsets])
     flat = basis.reshape(-1, model.size)

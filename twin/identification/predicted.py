@@ -209,8 +209,8 @@ def field_degrees(estimate: FieldKnowledge) -> tuple[int, int, int]:
     lever, a cross-effect with a lever, or a misfit mode."""
     modes = () if estimate.misfit is None else estimate.misfit.modes.degrees
     x, y, z = (
-        max(max(order, 2) + 1, *(degrees[axis] for degrees in modes), 0)
-        for axis, order in enumerate(estimate.model.highest_order)
+        max(highest, *(degrees[axis] for degrees in modes), 0)
+        for axis, highest in enumerate(estimate.model.field_degrees)
     )
     return x, y, z
 

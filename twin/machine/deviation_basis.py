@@ -56,9 +56,16 @@ def linear_deviation(
     return deviation
 
 
+def axis_fractions(model: ErrorModel, positions: Array) -> tuple[Array, Array, Array]:
+    """Return the positions of X, Y and Z, the rows of `positions` (3, n) in mm, as fractions of the axis ranges: 0 at
+    the lower end, 1 at the upper end."""
+    x, y, z = ((row - low) / (high - low) for row, (low, high) in zip(positions, model.ranges_mm, strict=True))
+    return x, y, z
+
+
 def cross_arguments(model: ErrorModel, y: Array, z: Array) -> tuple[Array, Array]:
-    """Return the two arguments v and w of the cross-effect. They are the axis positions of Y and Z as fractions of the
-    axis ranges, from 0 at the lower end to 1 at the upper end."""
+    """Return the two arguments v and w of the cross-effect of column and ram: the axis positions of Y and Z as
+    fractions of the axis ranges."""
     (y_low, y_high), (z_low, z_high) = model.ranges_mm[_Y], model.ranges_mm[_Z]
     return (y - y_low) / (y_high - y_low), (z - z_low) / (z_high - z_low)
 
@@ -103,10 +110,9 @@ def _functions(model: ErrorModel, points: Array) -> Array:
     y, z = points[:, _Y], points[:, _Z]
     y_travel, z_travel = y - model.ranges_mm[_Y][0], z - model.ranges_mm[_Z][0]
     columns.append(np.array((-z_travel, z_travel, -y_travel)))
-    if model.cross_effect:
-        v, w = cross_arguments(model, y, z)
-        shapes = {"b0": v, "b1": w * v, "b2": w * w * v, "c0": v, "c1": w * v}
-        columns.append(np.array([shapes[term] for term in model.cross_effect]))
+    if model.cross_terms:
+        fractions = axis_fractions(model, points.T)
+        columns.append(np.array([term.polynomial.at(fractions) for term in model.cross_terms]))
     return np.ascontiguousarray(np.concatenate(columns).T)
 
 
@@ -117,15 +123,12 @@ def _columns(model: ErrorModel) -> tuple[ColumnIndices, ColumnIndices]:
     starts = np.cumsum([0, *(order + 1 for order in model.highest_order)]).tolist()
     effect, row = np.empty(model.size, dtype=np.int64), np.empty(model.size, dtype=np.int64)
     for error, block in model.block.items():
-        direction, axis = DIRECTIONS.index(error[1]), AXES.index(error[2])
         orders = series_orders(error, model.orders[error])
-        # effects 0 to 2 are translations; the rotations A, B, C (directions 3 to 5) of axis k are the effects 3 + 3 k
-        # to 5 + 3 k
-        effect[block] = direction if direction < 3 else 3 * axis + direction
-        row[block] = starts[axis] + np.arange(orders.start, orders.start + len(orders))
-    # Squareness rotates a direction of travel only, so its effect is a translation; CROSS[c…] is the rotation A of Z.
+        effect[block] = _effect(error)
+        row[block] = starts[AXES.index(error[2])] + np.arange(orders.start, orders.start + len(orders))
+    # Squareness rotates a direction of travel only, so its effect is a translation.
     others = {"A0Z": _Y, "B0Z": _X, "C0Y": _X}
-    others |= {f"CROSS[{term}]": _Y if term[0] == "b" else 3 + 3 * _Z for term in model.cross_effect}
+    others |= {term.name: _effect(term.error) for term in model.cross_terms}
     for number, (name, moved) in enumerate(others.items()):
         effect[model.index(name)] = moved
         row[model.index(name)] = starts[-1] + number
@@ -133,3 +136,11 @@ def _columns(model: ErrorModel) -> tuple[ColumnIndices, ColumnIndices]:
     effect.setflags(write=False)
     row.setflags(write=False)
     return effect, row
+
+
+def _effect(error: str) -> int:
+    """Return the index in `_effects` of the error motion `error`."""
+    direction, axis = DIRECTIONS.index(error[1]), AXES.index(error[2])
+    # effects 0 to 2 are translations; the rotations A, B, C (directions 3 to 5) of axis k are the effects 3 + 3 k to
+    # 5 + 3 k
+    return direction if direction < 3 else 3 * axis + direction

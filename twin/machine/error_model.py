@@ -26,13 +26,16 @@ w = (z - z0)/Lz, where Ly and Lz are the lengths of the ranges of Y and Z. The t
 The coefficient b0 is off by default because b0 v is a scale error of Y, which EYY[1] already describes. The coefficient
 c0 is off by default because c0 v gives a vertical displacement, which EZY[2] and A0Z already describe. Both statements
 are true up to a rigid motion, and only for a machine whose ram carries the tool.
+
+Other structures have other terms of the cross-effect, which `twin.machine.structure` derives from their beams. Each is
+a polynomial in the axis positions that is added to one error motion.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -41,12 +44,13 @@ import numpy as np
 from twin.arrays import Array
 from twin.errors import DataError, ModelError
 from twin.immutable import Immutable
+from twin.machine.cross_term import COLUMN_AND_RAM, CROSS, CrossTerm
 from twin.machine.kinematic_chain import AXES, Chain
 
 DIRECTIONS = ("X", "Y", "Z", "A", "B", "C")
 ERROR_MOTIONS = tuple(f"E{direction}{axis}" for axis in AXES for direction in DIRECTIONS)
 SQUARENESS = ("A0Z", "B0Z", "C0Y")
-CROSS_TERMS = ("b0", "b1", "b2", "c0", "c1")
+CROSS_TERMS = tuple(COLUMN_AND_RAM)
 DEFAULT_CROSS_EFFECT = ("b1", "b2", "c1")
 
 ParameterKind = Literal["positioning", "straightness", "rotation", "squareness", "cross_displacement", "cross_rotation"]
@@ -57,8 +61,8 @@ Ranges = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 class Parameter:
     """Coefficient of the error model.
 
-    `error` is the ISO name of the error, or CROSS for a term of the cross-effect. `order` is the Legendre order; it is
-    0 for a term that is not a Legendre term.
+    `error` is the ISO name of the error, or CROSS for a term of the cross-effect, whatever its beam. `order` is the
+    Legendre order; it is 0 for a term that is not a Legendre term.
     """
 
     name: str
@@ -71,17 +75,20 @@ class Parameter:
 @dataclass(frozen=True)
 class ErrorModel(Immutable):
     """Error model of a machine. The model consists of the kinematic chain, the axis ranges, the Legendre order of each
-    error motion and the active terms of the cross-effect."""
+    error motion and the active terms of the cross-effect. `cross_effect` contains the short names of the terms of
+    column and ram, `structure` the terms of other beams."""
 
     chain: Chain
     ranges_mm: Ranges
     orders: Mapping[str, int] = field(hash=False)
     cross_effect: tuple[str, ...] = DEFAULT_CROSS_EFFECT
+    structure: tuple[CrossTerm, ...] = ()
 
     def __post_init__(self) -> None:
         _check_ranges(self.ranges_mm)
         _check_orders(self.orders)
         _check_cross_effect(self.cross_effect)
+        _check_structure(self.structure)
 
     @classmethod
     def uniform(
@@ -90,9 +97,14 @@ class ErrorModel(Immutable):
         ranges_mm: Ranges,
         order: int = 5,
         cross_effect: tuple[str, ...] = DEFAULT_CROSS_EFFECT,
+        structure: tuple[CrossTerm, ...] = (),
     ) -> ErrorModel:
         """Return a model with the same Legendre order for all 18 error motions."""
-        return cls(chain, ranges_mm, dict.fromkeys(ERROR_MOTIONS, order), cross_effect)
+        return cls(chain, ranges_mm, dict.fromkeys(ERROR_MOTIONS, order), cross_effect, structure)
+
+    def with_orders(self, orders: Mapping[str, int]) -> ErrorModel:
+        """Return the same model with other Legendre orders of the error motions."""
+        return replace(self, orders=orders)
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -100,7 +112,12 @@ class ErrorModel(Immutable):
         every derivative of the deviation with respect to the parameters."""
         series = [_term(error, k) for error in ERROR_MOTIONS for k in series_orders(error, self.orders[error])]
         squareness = [Parameter(name, name, 0, "rad", "squareness") for name in SQUARENESS]
-        return (*series, *squareness, *(_cross_term(term) for term in self.cross_effect))
+        return (*series, *squareness, *(_cross_parameter(term) for term in self.cross_terms))
+
+    @cached_property
+    def cross_terms(self) -> tuple[CrossTerm, ...]:
+        """Active terms of the cross-effect. Their parameters are the last ones of a parameter vector, in this order."""
+        return (*(COLUMN_AND_RAM[term] for term in self.cross_effect), *self.structure)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -156,12 +173,26 @@ class ErrorModel(Immutable):
         start = self.block[ERROR_MOTIONS[-1]].stop
         return float(values[start]), float(values[start + 1]), float(values[start + 2])
 
-    def cross_terms(self, values: Array) -> Mapping[str, float]:
-        """Return the coefficients b0, b1, b2 (mm) and c0, c1 (rad) of the cross-effect. Terms that are not active are
-        zero."""
+    def cross_values(self, values: Array) -> Array:
+        """Return the values (c,) in mm or rad of the parameters of the c active cross-effect terms."""
+        return values[self.size - len(self.cross_terms) :]
+
+    def column_and_ram(self, values: Array) -> Mapping[str, float]:
+        """Return the coefficients b0, b1, b2 (mm) and c0, c1 (rad) of the cross-effect of column and ram. Terms that
+        are not active are zero."""
         terms = dict.fromkeys(CROSS_TERMS, 0.0)
-        terms.update(zip(self.cross_effect, values[self.size - len(self.cross_effect) :].tolist(), strict=True))
+        terms.update(zip(self.cross_effect, self.cross_values(values).tolist(), strict=False))
         return terms
+
+    @cached_property
+    def field_degrees(self) -> tuple[int, int, int]:
+        """Upper bounds of the powers of x, y and z in the deviation by any one parameter: a term of a Legendre series
+        or of the cross-effect, times a lever arm."""
+        of_terms = [term.polynomial.degrees for term in self.cross_terms]
+        x, y, z = (
+            max(order, 2, *(degrees[axis] for degrees in of_terms)) + 1 for axis, order in enumerate(self.highest_order)
+        )
+        return x, y, z
 
 
 def series_orders(error: str, highest: int) -> range:
@@ -182,10 +213,9 @@ def _term(error: str, order: int) -> Parameter:
     return Parameter(f"{error}[{order}]", error, order, "rad" if kind == "rotation" else "mm", kind)
 
 
-def _cross_term(term: str) -> Parameter:
-    if term[0] == "b":
-        return Parameter(f"CROSS[{term}]", "CROSS", 0, "mm", "cross_displacement")
-    return Parameter(f"CROSS[{term}]", "CROSS", 0, "rad", "cross_rotation")
+def _cross_parameter(term: CrossTerm) -> Parameter:
+    kind: ParameterKind = "cross_displacement" if term.unit == "mm" else "cross_rotation"
+    return Parameter(term.name, CROSS, 0, term.unit, kind)
 
 
 def _check_ranges(ranges_mm: Ranges) -> None:
@@ -215,6 +245,17 @@ def _check_cross_effect(terms: tuple[str, ...]) -> None:
             raise ModelError(f"unknown cross-effect term '{term}'", hint=f"Known: {', '.join(CROSS_TERMS)}")
         if terms.count(term) > 1:
             raise ModelError(f"cross-effect term '{term}' is listed twice")
+
+
+def _check_structure(terms: tuple[CrossTerm, ...]) -> None:
+    taken = [term.name for term in (*COLUMN_AND_RAM.values(), *terms)]
+    for term in terms:
+        if term.error not in ERROR_MOTIONS:
+            raise ModelError(f"'{term.error}' is not an error motion of a linear axis", parameter=term.name)
+        if not (term.name.startswith(f"{CROSS}[") and term.name.endswith("]")):
+            raise ModelError(f"the name of a cross-effect must be {CROSS}[…], not '{term.name}'")
+        if taken.count(term.name) > 1:
+            raise ModelError(f"cross-effect term '{term.name}' is listed twice")
 
 
 def motion_uncertainty(model: ErrorModel, covariance: Array) -> Mapping[str, float]:

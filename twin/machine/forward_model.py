@@ -24,8 +24,9 @@ from numpy.typing import ArrayLike
 
 from twin.arrays import Array, as_points, as_vector
 from twin.immutable import Immutable
-from twin.machine.deviation_basis import cross_arguments, deviation_basis, linear_deviation
-from twin.machine.error_model import ERROR_MOTIONS, ErrorModel, series_orders
+from twin.machine.axis_polynomial import AxisPolynomial
+from twin.machine.deviation_basis import axis_fractions, deviation_basis, linear_deviation
+from twin.machine.error_model import DIRECTIONS, ERROR_MOTIONS, ErrorModel, series_orders
 from twin.machine.kinematic_chain import AXES
 from twin.machine.legendre import to_power_series
 
@@ -33,7 +34,6 @@ __all__ = ["deviation_basis", "exact_deviation", "linear_deviation"]
 
 _CHUNK = 6000  # points: more do not fit into the cache, with fewer the call overhead dominates
 _SMALL_ANGLE_RAD = 2e-4  # below it the first neglected term is under 7e-17, half a unit in the last place of cos
-_Y, _Z = 1, 2
 
 Triple = tuple[float, float, float]
 
@@ -43,13 +43,13 @@ class _UnpackedParameters:
     """Parameter vector unpacked for the evaluation.
 
     `series` (3, 6, order + 1) contains the power series coefficients of each axis and error motion. `travel` is the
-    actual minus the nominal direction of travel of each axis. `cross` contains the coefficients b0, b1, b2 (mm) and c0,
-    c1 (rad) of the cross-effect.
+    actual minus the nominal direction of travel of each axis. `cross[axis]` contains the cross-effect of each axis: the
+    row of an error motion (0 to 5) and the polynomial in mm or rad that is added to it.
     """
 
     series: Array
     travel: tuple[Triple, Triple, Triple]
-    cross: tuple[float, ...]
+    cross: tuple[tuple[tuple[int, AxisPolynomial], ...], ...]
 
 
 class _Workspace:
@@ -122,7 +122,18 @@ def _unpack(model: ErrorModel, values: Array) -> _UnpackedParameters:
     series.reshape(-1)[positions] = values[: len(positions)]
     series = to_power_series(series)
     travel = ((0.0, 0.0, 0.0), (-math.sin(c), cos_c1, 0.0), z_turned)
-    return _UnpackedParameters(series, travel, tuple(model.cross_terms(values).values()))
+    return _UnpackedParameters(series, travel, _cross_effect(model, values))
+
+
+def _cross_effect(model: ErrorModel, values: Array) -> tuple[tuple[tuple[int, AxisPolynomial], ...], ...]:
+    """Return, for each axis, the rows of its error motions that have a cross-effect, and the sum of its terms."""
+    found: dict[str, AxisPolynomial] = {}
+    for term, value in zip(model.cross_terms, model.cross_values(values).tolist(), strict=True):
+        found[term.error] = found.get(term.error, AxisPolynomial()) + term.polynomial * value
+    return tuple(
+        tuple((DIRECTIONS.index(error[1]), total) for error, total in found.items() if error[2] == letter)
+        for letter in AXES
+    )
 
 
 @lru_cache(maxsize=16)
@@ -166,12 +177,10 @@ def _fill_error_motions(axis: int, model: ErrorModel, numbers: _UnpackedParamete
     for k in range(2, len(powers)):
         np.multiply(powers[k - 1], argument, out=powers[k])
     np.matmul(numbers.series[axis], powers, out=rows.motions)
-    if axis == _Z and model.cross_effect:
-        v, w = cross_arguments(model, rows.positions[_Y], rows.positions[_Z])
-        b0, b1, b2, c0, c1 = numbers.cross
-        straightness, roll = rows.motions[1], rows.motions[3]
-        straightness += ((b2 * w + b1) * w + b0) * v
-        roll += (c1 * w + c0) * v
+    if numbers.cross[axis]:
+        fractions = axis_fractions(model, rows.positions)
+        for row, polynomial in numbers.cross[axis]:
+            rows.motions[row] += polynomial.at(fractions)
 
 
 def _fill_sines(rows: _Workspace) -> None:

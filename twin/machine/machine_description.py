@@ -12,6 +12,7 @@ from twin.machine.deflection import DeflectionGrid
 from twin.machine.error_model import ERROR_MOTIONS, ErrorModel, Ranges
 from twin.machine.kinematic_chain import AXES
 from twin.machine.machine_population import Family, family_from_amplitudes
+from twin.machine.structure import DerivedTerm
 
 Triple = tuple[float, float, float]
 
@@ -24,7 +25,8 @@ class MachineDescription(Displayed):
     the axis ranges. `tools` maps the name of each tool to its offset (3,) in mm from the reference point of the ram to
     the stylus centre. `amplitudes` contains the half-widths, as written in the machine file, of the parameters in the
     family of machines (the prior population). From these half-widths the family can also be built for a different
-    Legendre order.
+    Legendre order. `derived_terms` contains all terms of the cross-effect that follow from the beams of the machine,
+    the redundant ones included; it is empty if the machine file states no beams.
     """
 
     name: str
@@ -37,6 +39,7 @@ class MachineDescription(Displayed):
     family: Family
     amplitudes: Mapping[str, float | Sequence[float]] = field(hash=False)
     deflection: DeflectionGrid | None
+    derived_terms: tuple[DerivedTerm, ...] = ()
 
     def __repr__(self) -> str:
         return f"<MachineDescription: {self.name!r}, {self.model.chain}, tools {', '.join(sorted(self.tools))}>"
@@ -64,7 +67,7 @@ class MachineDescription(Displayed):
         The family of machines (prior population) is computed from `amplitudes` for that order.
         """
         orders = dict.fromkeys(ERROR_MOTIONS, order)
-        return self.with_model(ErrorModel(self.model.chain, self.model.ranges_mm, orders, self.model.cross_effect))
+        return self.with_model(self.model.with_orders(orders))
 
     def with_model(self, model: ErrorModel) -> MachineDescription:
         """Return the same machine described by a different error model.

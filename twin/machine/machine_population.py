@@ -10,6 +10,7 @@ import numpy as np
 
 from twin.arrays import Array, as_vector
 from twin.errors import ModelError
+from twin.machine.cross_term import CROSS
 from twin.machine.error_model import ErrorModel, Parameter, series_orders
 
 SERIES_KINDS = ("positioning_um", "straightness_um", "rotation_urad")
@@ -54,10 +55,12 @@ def family_from_amplitudes(model: ErrorModel, amplitudes: Mapping[str, float | S
     otherwise 1). They also accept a single value, which belongs to the lowest order. Beyond the last given order, the
     half-widths decrease by the factor `decay` (default 0.6) per order. The kinds `squareness_urad`,
     `cross_displacement_um` and `cross_rotation_urad` take one value each. The half-widths of a missing kind are zero.
+    The name of a cross-effect parameter, such as `CROSS[b1]`, gives the half-width of this parameter alone in µm or
+    µrad.
     """
     known = (*SERIES_KINDS, *SINGLE_KINDS, "decay")
     for name in amplitudes:
-        if name not in known:
+        if name not in known and not name.startswith(f"{CROSS}["):
             raise ModelError(f"unknown family amplitude '{name}'", hint=f"Known: {', '.join(known)}")
     widths = [_half_width(model, parameter, amplitudes) for parameter in model.parameters]
     return Family(model, np.array(widths))
@@ -65,8 +68,10 @@ def family_from_amplitudes(model: ErrorModel, amplitudes: Mapping[str, float | S
 
 def _half_width(model: ErrorModel, parameter: Parameter, amplitudes: Mapping[str, float | Sequence[float]]) -> float:
     kind = f"{parameter.kind}_{'um' if parameter.unit == 'mm' else 'urad'}"
+    if parameter.error == CROSS and parameter.name in amplitudes:
+        kind = parameter.name
     values = _as_list(amplitudes.get(kind, 0.0), kind)
-    if kind in SINGLE_KINDS:
+    if kind in SINGLE_KINDS or kind == parameter.name:
         return 1e-3 * values[0] if parameter.unit == "mm" else 1e-6 * values[0]
     # a straightness begins at order 2, all others at order 1: rank counts from the lowest order of the kind
     rank = parameter.order - series_orders(parameter.error, model.orders[parameter.error]).start

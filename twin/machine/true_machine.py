@@ -81,7 +81,7 @@ def draw_machine(
     """
     offset = description.tool(tool)
     nominal = description.model
-    model = ErrorModel.uniform(nominal.chain, nominal.ranges_mm, order, nominal.cross_effect)
+    model = ErrorModel.uniform(nominal.chain, nominal.ranges_mm, order, nominal.cross_effect, nominal.structure)
     parameters = scale * family_from_amplitudes(model, description.amplitudes).draw(rng, 1)[0]
     return TrueMachine(model, parameters, offset, description.deflection if with_deflection else None)
 

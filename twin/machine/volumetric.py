@@ -147,7 +147,7 @@ class QuadraticForm:
         """
         points = as_points(axis_positions, "axis positions")
         offset = as_vector(tool_offset, 3, "tool offset")
-        sums = GridQuadrature.for_points(points, _degrees(model))
+        sums = GridQuadrature.for_points(points, model.field_degrees)
         gram, shared = np.zeros((model.size, model.size)), np.zeros((6, model.size))
         roots = np.sqrt(sums.weights).repeat(3)[:, None]
         motions = _rigid_motions(sums.nodes + offset, sums.weights)
@@ -168,7 +168,7 @@ class QuadraticForm:
         fixed = as_points(field, "field")
         if fixed.shape != self.axis_positions.shape:
             raise DataError(f"the field has {len(fixed)} points, the grid {len(self.axis_positions)}")
-        sums = GridQuadrature.for_points(self.axis_positions, _degrees(self.model))
+        sums = GridQuadrature.for_points(self.axis_positions, self.model.field_degrees)
         roots = np.sqrt(sums.weights).repeat(3)
         motions = _rigid_motions(sums.nodes + self.tool_offset, sums.weights)
         # A grid field is no polynomial. Its projection gives the same products with every basis column, but not the
@@ -255,12 +255,3 @@ def _rigid_motions(points: Array, weights: Array | None = None) -> Array:
     # points on one line leave the rotation about it undetermined, a singular value of zero
     used: Array = left[:, sizes > 1e-9 * sizes[0]]
     return used
-
-
-def _degrees(model: ErrorModel) -> tuple[int, int, int]:
-    """Return the highest powers of x, y, z in any basis column.
-
-    A column is a term of a Legendre series or of the cross-effect, times a lever arm.
-    """
-    x, y, z = (max(order, 2) + 1 for order in model.highest_order)
-    return x, y, z

@@ -160,7 +160,8 @@ def joint_model(one: ErrorModel, other: ErrorModel) -> ErrorModel:
     # Series of different orders are nested, so the larger order contains the parameters of both.
     orders = {error: max(one.orders[error], other.orders[error]) for error in ERROR_MOTIONS}
     terms = tuple(term for term in CROSS_TERMS if term in one.cross_effect or term in other.cross_effect)
-    return ErrorModel(one.chain, one.ranges_mm, orders, terms)
+    structure = tuple(dict.fromkeys((*one.structure, *other.structure)))
+    return ErrorModel(one.chain, one.ranges_mm, orders, terms, structure)
 
 
 def clamped_deflection(deflection: DeflectionGrid, axis_positions: Array) -> Array:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -17,6 +16,7 @@ from agent.reports.page.error_curves import ErrorCurve
 from twin.machine.kinematic_chain import AXES
 
 COLUMNS = ("EX", "EY", "EZ", "EA", "EB", "EC")
+CROSS_PANELS = 3
 DISPLACEMENTS = 3
 """Number of columns with displacements; the other columns are rotations."""
 
@@ -40,13 +40,15 @@ def draw_error_curves(curves: Sequence[ErrorCurve]) -> str:
 
 
 def draw_cross_effect(curves: Sequence[ErrorCurve]) -> str:
-    """Return an SVG of the cross-effect, that is, the bending of the column by the weight of the ram, with the ram
-    fully extended. The contribution to each error is drawn as a function of the height Z."""
-    drawing = Drawing("cross-effect", REPORT_WIDTH_IN, 1.9)
+    """Return an SVG of the cross-effect, that is, the bending of beams by the weight that the axes move. The
+    contribution to each error motion is drawn as a function of its axis, with at most `CROSS_PANELS` in a row."""
+    rows = -(-len(curves) // CROSS_PANELS)
+    drawing = Drawing("cross-effect", REPORT_WIDTH_IN, 1.9 * rows)
     with drawing as figure:
-        figure.subplots_adjust(wspace=0.35)
-        panels = np.atleast_1d(figure.subplots(1, len(curves)))
-        for panel, curve in zip(panels, curves, strict=True):
+        figure.subplots_adjust(wspace=0.35, hspace=0.6)
+        layout = figure.add_gridspec(rows, min(len(curves), CROSS_PANELS))
+        for number, curve in enumerate(curves):
+            panel = figure.add_subplot(layout[divmod(number, CROSS_PANELS)])
             _panel(panel, curve, curve.name)
             panel.set_ylabel(curve.unit)
             panel.set_xlabel(f"{curve.argument} / mm")

@@ -127,21 +127,29 @@ def _series_rows(model: ErrorModel, name: str) -> Array | None:
 
 
 def cross_effect_curves(model: ErrorModel, parameters: Array, covariance: Array) -> tuple[ErrorCurve, ...]:
-    """Return the curves of the contributions of the cross-effect to the error motions EYZ and EAZ with the ram fully
-    extended, as functions of Z.
+    """Return the curves of the contributions of the cross-effect to the error motions, as functions of the axis of each
+    error motion. The other axes are at the upper ends of their ranges; a ram is then fully extended.
 
     The result is empty if the error model has no cross-effect.
     """
-    place = np.linspace(*model.ranges_mm[2], SAMPLES)
-    w = (place - place[0]) / (place[-1] - place[0])
     curves = []
-    for letter, error, unit in (("b", "E_YZ", "mm"), ("c", "E_AZ", "rad")):
-        terms = [term for term in model.cross_effect if term[0] == letter]
-        if terms:
-            rows = np.stack([w ** int(term[1]) for term in terms], axis=1)
-            chosen = [model.index(f"CROSS[{term}]") for term in terms]
-            part = covariance[np.ix_(chosen, chosen)]
-            curves.append(_curve(error, "Z", unit, place, rows=rows, coefficients=parameters[chosen], covariance=part))
+    for error in dict.fromkeys(term.error for term in model.cross_terms):
+        axis = AXES.index(error[2])
+        terms = [term for term in model.cross_terms if term.error == error]
+        fractions = [np.linspace(0.0, 1.0, SAMPLES) if axis == other else np.ones(SAMPLES) for other in range(3)]
+        rows = np.stack([term.polynomial.at(fractions) for term in terms], axis=1)
+        chosen = [model.index(term.name) for term in terms]
+        curves.append(
+            _curve(
+                f"E_{error[1:]}",
+                error[2],
+                terms[0].unit,
+                _positions(model, error[2]),
+                rows=rows,
+                coefficients=parameters[chosen],
+                covariance=covariance[np.ix_(chosen, chosen)],
+            )
+        )
     return tuple(curves)
 
 

@@ -80,7 +80,7 @@ ENGLISH: Texts = {
     "night": "Result of the night",
     "trend": "Trend",
     "errors": "The 21 geometric errors",
-    "cross": "Cross-effect of ram and column",
+    "cross": "Cross-effect",
     "map": "Error maps at three heights",
     "residuals": "Residuals at the balls",
     "rejected": "Rejected balls",
@@ -138,7 +138,9 @@ ENGLISH: Texts = {
         "straightness relative to a straight line), or the value of a squareness (right-handed rotation of the "
         "direction of travel of the axis in the last letter about the axis of the first letter). U: k = 2."
     ),
-    "cross_note": "Added to EYZ and EAZ at full overhang of Y, over the height Z.",
+    "cross_note": (
+        "Added to these error motions with the other axes at the upper ends of their ranges (a ram fully extended)."
+    ),
     "travel_note": (
         "VE estimated and VCE predicted, aligned over the whole travel, with 95 % limits. Outside the measured region "
         "no ball was measured: there the values rest on the machine family and on the form of the error model."

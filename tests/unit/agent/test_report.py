@@ -23,6 +23,7 @@ from agent.reports.page import (
     VerifiedPosition,
 )
 from agent.reports.page.budget_table import budget_table
+from agent.reports.page.curve_figure import draw_cross_effect
 from agent.reports.page.data import name_of_positions
 from agent.reports.page.document_head import calibration_notes, document_head, instruments
 from agent.reports.page.error_curves import cross_effect_curves, error_curve, geometric_error_curves
@@ -49,6 +50,8 @@ from twin.identification.normal import PriorPrecision
 from twin.identification.predicted import field_forms
 from twin.identification.series_prior import SeriesPrior
 from twin.machine.anchor import Anchor
+from twin.machine.axis_polynomial import AxisPolynomial
+from twin.machine.cross_term import CrossTerm
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import exact_deviation
 from twin.machine.kinematic_chain import parse_chain
@@ -483,6 +486,26 @@ class TestCurves:
         assert straight.value[[0, 40, 80]] == pytest.approx([0.0, 1.25, 3.0])
         assert turned.value[[0, 40, 80]] == pytest.approx([0.0, 2.0, 4.0])
         assert turned.unit == "µrad"
+
+    def test_the_cross_effect_of_other_beams_is_shown_along_the_axis_of_each_error(self) -> None:
+        rails = (
+            CrossTerm("CROSS[rail.EZX]", "EZX", AxisPolynomial((((1, 1, 0), 2.0), ((2, 1, 0), -1.0)))),
+            CrossTerm("CROSS[rail.EAX]", "EAX", AxisPolynomial((((1, 1, 0), 1.0),))),
+        )
+        model = replace(MODEL, cross_effect=(), structure=rails)
+        values, covariance = np.zeros(model.size), np.zeros((model.size, model.size))
+        values[-2:], covariance[-2, -2] = (0.004, 5e-6), 0.001**2
+        sag, roll = cross_effect_curves(model, values, covariance)
+        assert [(one.name, one.argument, one.unit) for one in (sag, roll)] == [
+            ("E_ZX", "X", "µm"),
+            ("E_AX", "X", "µrad"),
+        ]
+        assert sag.position_mm[[0, -1]].tolist() == list(RANGES[0])
+        assert sag.value[[0, 40, 80]] == pytest.approx([0.0, 3.0, 4.0])
+        assert sag.sigma[[0, 40, 80]] == pytest.approx([0.0, 0.75, 1.0])
+        assert roll.value[[0, 40, 80]] == pytest.approx([0.0, 2.5, 5.0])
+        drawn = draw_cross_effect((sag, roll, sag, roll))
+        assert drawn.count("curve-E_ZX") == 2
 
 
 class TestNumbers:

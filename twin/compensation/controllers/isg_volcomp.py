@@ -65,6 +65,11 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
         hint = "Give it with --estimate, or the folder of the run with --table"
         raise DataError("this format contains error motions, so it needs the estimate", hint=hint)
     records = 1 + sum(len(nodes) for nodes in table.nodes) + len(table.y) * len(table.z)
+    if identified.model.structure:
+        raise DataError(
+            f"this format contains no cross-effect such as {identified.model.structure[0].name}",
+            hint="Choose a format that contains the table itself, such as neutral",
+        )
     if records > MOST_RECORDS:
         raise DataError(f"{records} records are more than {MOST_RECORDS}", hint="Thin the grid with --points")
     motions = _rounded(_without_rigid_motion(_motions(identified, table), source))
@@ -96,7 +101,7 @@ def _motions(identified: TableEstimate, table: CompensationTable) -> Motions:
         # θ × (arm - lever) = θ × arm - θ × lever: the second part becomes a displacement.
         one[:3] -= np.cross(one[3:].T, lever).T
     v, w = cross_arguments(model, table.y[:, None], table.z[None, :])
-    terms = model.cross_terms(values)
+    terms = model.column_and_ram(values)
     twist = (terms["c0"] + terms["c1"] * w) * v
     # The roll of Z turns about X, and -(twist, 0, 0) × lever = (0, twist l_z, -twist l_y).
     crossed = {

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from estimated_machine import TOOL, known, source_of
+from estimated_machine import CASE_STUDY, TOOL, known, source_of
 
 from twin.compensation.controllers.export_format import ExportSource, TableEstimate
 from twin.compensation.controllers.format_options import ExportOptions
@@ -15,6 +15,8 @@ from twin.compensation.controllers.loss import require_same_machine
 from twin.compensation.controllers.registry import FORMATS
 from twin.compensation.table import CompensationTable
 from twin.errors import DataError
+from twin.machine.axis_polynomial import AxisPolynomial
+from twin.machine.cross_term import CrossTerm
 
 EVEN = ("siemens-lec", "siemens-cec", "heidenhain-com", "fanuc-pitch", "fanuc-3d")
 
@@ -32,6 +34,14 @@ def alone(table: CompensationTable) -> ExportSource:
 
 def thin() -> CompensationTable:
     return resample_table(known(1).table, (21, 14, 16))
+
+
+def test_error_motions_do_not_contain_the_cross_effect_of_other_beams() -> None:
+    rail = CrossTerm("CROSS[rail.EZX]", "EZX", AxisPolynomial((((1, 1, 0), 1.0),)))
+    model = replace(CASE_STUDY.model, structure=(rail,))
+    error = refused("isg-volcomp", source_of(model, np.zeros(model.size)))
+    assert "no cross-effect such as CROSS[rail.EZX]" in str(error)
+    assert FORMATS["neutral"].export(source_of(model, np.zeros(model.size)), ExportOptions({})).files
 
 
 @pytest.mark.parametrize(
