@@ -20,6 +20,7 @@ from twin.artefact.certificate import BallDistance
 from twin.display import Displayed
 from twin.errors import FormatError, TwinError
 from twin.formats.drift_section import read_trend
+from twin.formats.instrument_section import InstrumentSection, instrument_documents
 from twin.formats.json_reading import read_json
 from twin.formats.prior_section import KEY, CarriedOverSection, carried_over_document, read_moments, read_unknowns
 from twin.formats.toml_reading import StrictModel
@@ -265,6 +266,7 @@ class EstimateFile(StrictModel):
     shift_pattern: PatternSection | None = None
     ball_shifts: tuple[BallShiftSection, ...] = ()
     common_scale: CommonScaleSection | None = None
+    instruments: tuple[InstrumentSection, ...] = ()
     artefact_calibration: dict[str, Any] | None
     volumetric: VolumetricSection | None
     carried_over: CarriedOverSection
@@ -365,6 +367,7 @@ def format_estimate(
         "shift_pattern": pattern_document(estimate.pattern),
         "ball_shifts": ball_shift_documents(estimate.shifts),
         "common_scale": common_scale_document(estimate.common_scale),
+        "instruments": instrument_documents(estimate.instruments),
         "artefact_calibration": calibration_document(estimate.artefact_calibration),
         "volumetric": None if volumetric is None else volumetric.model_dump(),
         "carried_over": carried_over_document(

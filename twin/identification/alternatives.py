@@ -15,7 +15,8 @@ B 71, 2009, 6.5).
 The measurements have the covariance V = σ²I + A D⁻¹Aᵀ, where σ is the touch noise, I the unit matrix, A the design
 matrix and D the prior precision. The Fisher information of two log variances is half the trace of V⁻¹ ∂V V⁻¹ ∂V'. Here
 ∂V is the derivative of V with respect to the first log variance, and ∂V' is the derivative with respect to the second.
-The Fisher information can be computed from the posterior alone.
+The Fisher information can be computed from the posterior alone. Readings of other instruments, B z = b with unit noise,
+are further rows of the measurements; σ does not apply to them.
 """
 
 from __future__ import annotations
@@ -95,8 +96,14 @@ def _log_information(rows: int, precision: PriorPrecision, posterior: Posterior,
     kept = precision.times(posterior.covariance, scales)
     measured = precision.times(np.eye(len(kept)) - kept.T, scales)
     noisy = kept @ measured
+    given = kept
+    if precision.direct is not None:
+        # what the ball centres do not add to the posterior comes from prior and instruments: (D + BᵀB) C
+        direct = precision.direct.rows
+        given = kept + direct.T @ (direct @ posterior.covariance)
+        noisy -= (kept @ direct.T) @ (kept @ direct.T).T
     information = np.zeros((len(SCALE_PRIORS), len(SCALE_PRIORS)))
-    information[0, 0] = rows - len(kept) + float(np.vdot(kept.T, kept))
+    information[0, 0] = rows - len(kept) + float(np.vdot(given.T, given))
     # half traces with the derivatives of the prior covariance by the log scales, a quarter for log variances
     changes = precision.variance_changes(scales)
     information[0, 1:] = information[1:, 0] = 0.5 * changes @ np.diagonal(noisy)

@@ -123,7 +123,8 @@ def normal_equations(problem: IdentificationProblem) -> NormalEquations:
 def free_precision(problem: IdentificationProblem) -> PriorPrecision:
     """Return the prior precision of the unknowns of `problem` as it is used if the scales are estimated."""
     unknowns = problem.unknowns
-    return PriorPrecision(problem.blocks, problem.known, SeriesPrior.of(unknowns.model, unknowns.scale))
+    series = SeriesPrior.of(unknowns.model, unknowns.scale)
+    return PriorPrecision(problem.blocks, problem.known, series, direct=problem.direct)
 
 
 def _equations(
@@ -182,7 +183,7 @@ def _precision(problem: IdentificationProblem, matrix: Array, options: Options) 
         unknowns = problem.unknowns
         free = options.estimate_scales and options.carried_over is None
         series = SeriesPrior.of(unknowns.model, unknowns.scale) if free else None
-        return PriorPrecision(problem.blocks, problem.known, series)
+        return PriorPrecision(problem.blocks, problem.known, series, direct=problem.direct)
     block = problem.blocks.parameters
     if options.formulation == "centres" and options.weights == "full":
         _check_field_determined(problem, matrix[block, block])
