@@ -1,4 +1,4 @@
-"""Eight positions of the bar and a laser line of X, against the 24 positions of S3: what the estimate states, and truth.
+"""Eight positions of the bar and a laser line of X against the 24 positions of S3: the estimates, compared with truth.
 
 Machines of the two generators of `campaigns.foreign` are drawn. Each is identified from S3 at four stations, from two
 orientations at each station alone, and from these with the readings of virtual instruments of `simulators.instruments`:

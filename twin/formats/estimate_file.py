@@ -37,6 +37,7 @@ from twin.identification import (
     StepInRun,
 )
 from twin.identification.drift_trend import DriftTrend
+from twin.identification.instruments.check_result import InstrumentCheck
 from twin.identification.unknowns import Unknowns
 from twin.machine.error_model import ErrorModel
 from twin.machine.kinematic_chain import parse_chain
@@ -309,6 +310,11 @@ class StoredEstimate(Displayed):
             BallCheck(row.ball, row.contradiction, _millimetres(row.apparent_error_um), row.certified)
             for row in self.document.certificate
         )
+
+    @property
+    def instruments(self) -> tuple[InstrumentCheck, ...]:
+        """Tests of the other instruments, and whether their readings are part of the estimate."""
+        return tuple(section.check for section in self.document.instruments)
 
     @property
     def artefact_calibration(self) -> ArtefactCalibration | None:

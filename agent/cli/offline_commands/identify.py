@@ -102,8 +102,8 @@ def _order(_context: click.Context, _option: click.Parameter, text: str | None) 
     type=PATH,
     multiple=True,
     metavar="FILE.csv",
-    help="Readings of a laser, straightness optics, ballbar or level, or an earlier report, evaluated together with the "
-    "ball centres. May be given several times.",
+    help="Readings of a laser, straightness optics, ballbar or level, or an earlier report, evaluated with the ball "
+    "centres. May be given several times.",
 )
 @click.option(
     "--join-contradicting",
