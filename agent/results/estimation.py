@@ -203,6 +203,17 @@ def scale_warnings(estimate: Estimate) -> tuple[str, ...]:
     return tuple(f"A scale ran into its bounds. {text[0].upper()}{text[1:]}." for text in estimate.scales_at_bounds)
 
 
+def instrument_warnings(estimate: Estimate) -> tuple[str, ...]:
+    """Return one warning for each other instrument that contradicts the ball centres or the other instruments."""
+    return tuple(
+        f"{check.name} ({check.kind}) contradicts the ball centres and the other instruments: {check.largest.text} (χ² "
+        f"{check.chi2:.0f} with {check.degrees_of_freedom} degrees of freedom). "
+        f"{'It was joined all the same.' if check.joined else 'It was not used.'}"
+        for check in estimate.instruments
+        if check.contradicts
+    )
+
+
 def estimate_from_balls(job: Job, balls: Sequence[MeasuredBall], correction: Correction) -> EstimationResult:
     """Return the estimate of the machine's errors from the balls measured in a run, and the compensation table made
     from the estimate. Raises TwinError if the balls do not allow an estimate.

@@ -22,6 +22,7 @@ from agent.results.estimation import (
     EstimationResult,
     estimate_text,
     estimate_with_table,
+    instrument_warnings,
     order_text,
     scale_warnings,
 )
@@ -456,7 +457,7 @@ def _warnings(result: IdentificationResult, options: Options) -> tuple[str, ...]
         notes.append(f"{_sentence(drift_text(material.night.drift))}.")
     if not options.use_prior:
         notes.append("Without the family, unseen directions count as zero: the stated uncertainties leave them out.")
-    notes += [check.warning for check in estimation.estimate.instruments if check.contradicts]
+    notes += instrument_warnings(estimation.estimate)
     calibration = estimation.estimate.artefact_calibration
     return (*notes, *calibration_warnings(calibration), *scale_warnings(estimation.estimate))
 

@@ -22,7 +22,7 @@ if will_run():
 
     from agent.cli.printing import results_console, travel_rows
     from agent.figures.heading import subject
-    from agent.results.estimation import order_text
+    from agent.results.estimation import instrument_warnings, order_text
     from agent.results.gates import reasons
     from agent.runs.offline_identification import (
         DEFAULT_GATES,
@@ -215,8 +215,8 @@ def _show(result: IdentificationResult, config: Path | None, seconds: float) -> 
             f"rest; largest: {check.largest.text}",
             markup=False,
         )
-        if check.contradicts:
-            console.print(f"note: {check.warning}", style="yellow", markup=False)
+    for warning in instrument_warnings(estimate):
+        console.print(f"note: {warning}", style="yellow", markup=False)
     console.print(estimation.thermometer.text, markup=False)
     if estimation.thermometer.warning is not None:
         console.print(f"note: {estimation.thermometer.warning}", style="yellow", markup=False)

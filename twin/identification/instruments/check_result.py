@@ -50,14 +50,3 @@ class InstrumentCheck:
     largest: LargestResidual
     contradicts: bool
     joined: bool
-
-    @property
-    def warning(self) -> str:
-        """Sentence about a contradiction; empty if there is none."""
-        if not self.contradicts:
-            return ""
-        use = "It was joined all the same" if self.joined else "It was not used"
-        return (
-            f"The instrument contradicts the ball centres and the other instruments: {self.name} {self.largest.text} "
-            f"(χ² {self.chi2:.0f} with {self.degrees_of_freedom} degrees of freedom). {use}."
-        )
