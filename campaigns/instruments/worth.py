@@ -54,6 +54,7 @@ class Procedure:
     name: str
     positions: int
     lines: int
+    orientations: tuple[tuple[int, float, float], ...]
     expected_ve_um: float
     expected_vce_um: float
     bar_minutes: float
@@ -108,6 +109,9 @@ def procedures(job: Job) -> list[Procedure]:
                 name=name,
                 positions=len(places),
                 lines=used,
+                orientations=tuple((p.station, p.azimuth_deg, p.elevation_deg) for p in places)
+                if count == _FEW
+                else (),
                 expected_ve_um=round(candidates.before.aligned_um, 2),
                 expected_vce_um=round(candidates.vce(list(chosen)).aligned_um, 2),
                 bar_minutes=round(machine_minutes(job, places).total, 1),

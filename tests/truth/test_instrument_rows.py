@@ -201,6 +201,14 @@ def test_right_instruments_join_and_bring_the_estimate_nearer_to_the_truth() -> 
     assert left_um(joint) < 0.5 * left_um(alone())
 
 
+def test_scales_and_the_joint_prediction_of_the_line() -> None:
+    """With free scales the instruments join too; the scales are those of the ball centres."""
+    first, joint = estimated(scales=True), estimated((laser(),), scales=True)
+    assert joint.scales.values == pytest.approx(first.scales.values, rel=1e-9)
+    index = joint.model.index("EXX[1]")
+    assert joint.standard_uncertainty[index] < first.standard_uncertainty[index]
+
+
 def test_a_wrong_laser_is_named_with_its_row_and_the_right_ballbar_is_not() -> None:
     wrong, right = check_instruments(alone(), (laser(wrong_scale=2e-5), circle()))
     assert wrong.contradicts

@@ -7,8 +7,7 @@ the artefact have been eliminated by projection. After integration over z, twice
     rows ln σ² + |y|²/σ² - rᵀ H⁻¹ r/σ⁴ + ln det H - ln det D,   H = N/σ² + D
 
 (MacKay 1992; Rasmussen and Williams 2006, 5.4). Here `rows` is the number of equations, σ is the touch noise, and D is
-the prior precision of z. The matrix N = AᵀA and the right side r = Aᵀy belong to the normal equations. Readings of
-other instruments, B z = b with unit noise, add BᵀB to H and σ²Bᵀb to r; no scale changes their own |b|². The gradient
+the prior precision of z. The matrix N = AᵀA and the right side r = Aᵀy belong to the normal equations. The gradient
 with respect to the scales needs only the diagonal of H⁻¹. The logarithm of each scale has a weak normal prior and two
 bounds. This prior and the bounds prevent extreme scales if there are few measurements.
 """
@@ -197,11 +196,8 @@ def negative_log_likelihood(normal: NormalEquations, precision: PriorPrecision, 
     variances, diagonal = posterior.variances, precision.diagonal(scales)
     weighted_z, trace = diagonal * z, float(variances @ diagonal)
     gradient = np.zeros(len(SCALE_PRIORS))
-    if precision.direct is not None:
-        trace += float(np.square(posterior.whiten(precision.direct.rows)).sum())
-    # The derivative of ln det H gives tr(H⁻¹ N/σ²) = P - tr(H⁻¹ (D + BᵀB)), the effective number of parameters that the
-    # ball centres determine (MacKay's γ). The quadratic terms are stationary in z, so only the explicit σ in
-    # |y - A z|²/σ² counts.
+    # The derivative of ln det H gives tr(H⁻¹ N/σ²) = P - tr(H⁻¹ D), the effective number of parameters (MacKay's γ).
+    # The quadratic terms are stationary in z, so only the explicit σ in |y - A z|²/σ² counts.
     gradient[0] = 2.0 * (normal.rows - (len(z) - trace) - normal.misfit_square(z) / variance)
     # derivatives with respect to the prior variances: D - D C D - D z zᵀ D, of which only the diagonal counts
     gradient[1:] = precision.variance_changes(scales) @ (diagonal - diagonal**2 * variances - weighted_z**2)
@@ -236,5 +232,4 @@ def in_principal_axes(normal: NormalEquations, precision: PriorPrecision) -> tup
         known, axes = known.in_principal_axes()
         rotation[:, known.members] = rotation[:, known.members] @ axes
     turned = replace(normal, matrix=rotation.T @ normal.matrix @ rotation, right=rotation.T @ normal.right)
-    direct = None if precision.direct is None else precision.direct.turned(rotation)
-    return turned, replace(precision, series=None, principal=principal, known=known, direct=direct)
+    return turned, replace(precision, series=None, principal=principal, known=known)

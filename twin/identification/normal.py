@@ -85,7 +85,7 @@ class JointPrior:
 @dataclass(frozen=True, eq=False)
 class DirectInformation:
     """Equations B z = y in the P unknowns z with unit noise, beside those of the ball centres. The estimated scale of
-    the touch noise does not apply to them: another instrument measured them.
+    the touch noise does not apply to them, and they do not take part in the estimation of scales.
 
     `rows` (m, P) is B and `target` (m,) is y.
     """
@@ -102,10 +102,6 @@ class DirectInformation:
         """Return the equations for a vector z with `count` further unknowns at its end, which do not occur in them."""
         return DirectInformation(np.pad(self.rows, ((0, 0), (0, count))), self.target)
 
-    def turned(self, rotation: Array) -> DirectInformation:
-        """Return the equations in the unknowns z', where z = `rotation` (P, P) z'."""
-        return DirectInformation(self.rows @ rotation, self.target)
-
 
 @dataclass(frozen=True, eq=False)
 class PriorPrecision:
@@ -116,7 +112,7 @@ class PriorPrecision:
     principal axes of this prior, `principal` replaces `series`, and the prior precision is diagonal.
 
     `direct` are the readings of other instruments. They belong to the measurements and are no part of the prior
-    precision; they are kept here because no scale applies to them.
+    precision; they are kept here because no scale applies to them. The posterior contains them.
     """
 
     blocks: UnknownBlocks
