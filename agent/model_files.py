@@ -7,7 +7,7 @@ the model files does not import the numerical code of `twin`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from agent.files import read_text, translated
@@ -16,8 +16,11 @@ from twin.artefact.artefact import Artefact
 from twin.artefact.position_set import Position
 from twin.formats.artefact_file import parse_artefact
 from twin.formats.ball_file import BallFile, parse_balls
+from twin.formats.instrument_file import InstrumentMachine, parse_instrument
 from twin.formats.machine_file import parse_machine
 from twin.formats.position_set_file import parse_positions
+from twin.identification.instruments.readings import InstrumentReadings
+from twin.machine.error_model import ErrorModel
 from twin.machine.machine_description import MachineDescription
 
 MAX_LISTED = 100
@@ -74,6 +77,26 @@ def load_balls(path: Path, machine: MachineDescription) -> BallFile:
     text = read_text(path)
     with translated(InputError, file=str(path)):
         return parse_balls(text, str(path), machine.tools, travel=machine.limits)
+
+
+def load_instruments(
+    paths: Sequence[Path], machine: MachineDescription, model: ErrorModel
+) -> tuple[InstrumentReadings, ...]:
+    """Return the readings of other instruments, one file for each. They are named like their files; `model` is the
+    error model whose parameters an earlier report may state.
+
+    Raises InputError if a file cannot be used, or if two files have the same name.
+    """
+    known = InstrumentMachine(machine.tools, machine.limits, model)
+    found = []
+    for number, path in enumerate(paths):
+        if path.name in (other.name for other in paths[:number]):
+            hint = "results name an instrument by its file: rename one of the two"
+            raise InputError("a second file of an instrument has the same name", hint=hint, file=str(path))
+        text = read_text(path)
+        with translated(InputError, file=str(path)):
+            found.append(parse_instrument(text, str(path), path.name, known))
+    return tuple(found)
 
 
 def _neighbours(path: Path) -> Callable[[str], str]:

@@ -36,8 +36,11 @@ from twin.formats.estimate_file import (
     pattern_document,
     step_document,
 )
+from twin.formats.instrument_section import instrument_documents
 from twin.identification import Estimate, Options, expected_rms, identify, identify_by_evidence, regional_forms
 from twin.identification.checks.measured_shape import check_shape
+from twin.identification.instruments.consistency import identify_with_instruments
+from twin.identification.instruments.readings import InstrumentReadings
 from twin.identification.predicted import FieldSums, expected_vce, field_forms, field_sums
 from twin.machine.anchor import Anchor
 from twin.machine.error_model import ErrorModel
@@ -96,6 +99,7 @@ class EstimationResult:
             "shift_pattern": pattern_document(estimate.pattern),
             "ball_shifts": ball_shift_documents(estimate.shifts),
             "common_scale": common_scale_document(estimate.common_scale),
+            "instruments": instrument_documents(estimate.instruments),
             "rejected": [list(row) for row in estimate.rejected],
         }
 
@@ -106,6 +110,7 @@ NO_ESTIMATION: dict[str, object] = {
     **dict.fromkeys(("artefact_calibration", "chi2_normalised", "step_in_run", "shift_pattern")),
     "ball_shifts": [],
     "common_scale": None,
+    "instruments": [],
     "rejected": [],
 }
 """JSON object of an estimation that was not made."""
@@ -156,9 +161,22 @@ def estimate_machine(
 
     If `order` is "evidence", the order with the largest Bayesian evidence is used. The evidence of several orders can
     be compared only if the prior population is used; otherwise, the order of the machine file is used. If an earlier
-    estimate is carried over, the order of that estimate is used in any case.
+    estimate is carried over, the order of that estimate is used in any case. Instruments in `options` are tested first,
+    and joined if they do not contradict.
     """
     check_shape(observations, artefact)
+
+    def identify_with(instruments: tuple[InstrumentReadings, ...]) -> Estimate:
+        return _estimate(machine, artefact, observations, replace(options, instruments=instruments), order)
+
+    if not options.instruments:
+        return identify_with(())
+    return identify_with_instruments(identify_with, options.instruments, keep_contradicting=options.join_contradicting)
+
+
+def _estimate(
+    machine: MachineDescription, artefact: Artefact, observations: Observations, options: Options, order: Order
+) -> Estimate:
     if options.carried_over is not None:
         machine = machine.with_model(options.carried_over.unknowns.model)
     elif isinstance(order, int):
@@ -183,6 +201,17 @@ def scale_warnings(estimate: Estimate) -> tuple[str, ...]:
     """Return one warning for each scale that has reached a bound of its permitted range. A scale is an estimated factor
     by which an assumed standard deviation is multiplied."""
     return tuple(f"A scale ran into its bounds. {text[0].upper()}{text[1:]}." for text in estimate.scales_at_bounds)
+
+
+def instrument_warnings(estimate: Estimate) -> tuple[str, ...]:
+    """Return one warning for each other instrument that contradicts the ball centres or the other instruments."""
+    return tuple(
+        f"{check.name} ({check.kind}) contradicts the ball centres and the other instruments: {check.largest.text} (χ² "
+        f"{check.chi2:.0f} with {check.degrees_of_freedom} degrees of freedom). "
+        f"{'It was joined all the same.' if check.joined else 'It was not used.'}"
+        for check in estimate.instruments
+        if check.contradicts
+    )
 
 
 def estimate_from_balls(job: Job, balls: Sequence[MeasuredBall], correction: Correction) -> EstimationResult:

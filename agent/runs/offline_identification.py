@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from agent.files import check_folder, read_text, translated, write_all_atomically
-from agent.model_files import load_artefact, load_balls, load_machine
+from agent.model_files import load_artefact, load_balls, load_instruments, load_machine
 from agent.reports.page import Header, IdentificationData, ReportData, name_of_positions
 from agent.results.artefact_calibration import (
     CALIBRATION_FILES,
@@ -22,6 +22,7 @@ from agent.results.estimation import (
     EstimationResult,
     estimate_text,
     estimate_with_table,
+    instrument_warnings,
     order_text,
     scale_warnings,
 )
@@ -50,6 +51,7 @@ from twin.formats.estimate_file import certificate_document, parse_estimate
 from twin.identification import Options, process_noise
 from twin.identification.checks.measured_shape import check_shape
 from twin.identification.identify import accepted_rows
+from twin.identification.order import ORDERS
 from twin.machine.machine_description import MachineDescription
 from twin.monitoring.night_fit import NightFit, compare_with_nights_before
 from twin.units import MM_PER_UM, UM_PER_MM
@@ -85,7 +87,8 @@ class IdentificationRequest:
     table is written in any case; it then carries a mark. `temperature_uncertainty_k` is the standard uncertainty of the
     artefact's temperature in K, common to all rows; it is None if it is not stated. In this case
     `thermometer_uncertainty_k`, the uncertainty of the thermometer according to the settings, is used for a ball file
-    that contains temperatures.
+    that contains temperatures. `instruments` are files with readings of other instruments; those that contradict are
+    used only if `join_contradicting` is True.
     """
 
     balls: Path
@@ -103,6 +106,8 @@ class IdentificationRequest:
     even_so: bool = False
     temperature_uncertainty_k: float | None = None
     thermometer_uncertainty_k: float | None = None
+    instruments: tuple[Path, ...] = ()
+    join_contradicting: bool = False
 
 
 @dataclass(frozen=True)
@@ -224,7 +229,25 @@ def read_material(request: IdentificationRequest) -> IdentificationInput:
     thermometer = _thermometer(request, balls)
     options = replace(request.options, temperature_standard_uncertainty_k=thermometer.standard_uncertainty_k)
     material = IdentificationInput(machine, artefact, balls, tool, options, thermometer)
-    return material if request.carried_over is None else _after_earlier_night(material, request, request.carried_over)
+    if request.carried_over is not None:
+        material = _after_earlier_night(material, request, request.carried_over)
+    return _with_instruments(material, request) if request.instruments else material
+
+
+def _with_instruments(material: IdentificationInput, request: IdentificationRequest) -> IdentificationInput:
+    """Return `material` with the readings of other instruments among its options. Values of an earlier report must be
+    those of parameters that every order which may be chosen has."""
+    machine, options = material.machine, material.options
+    if options.carried_over is not None:
+        model = options.carried_over.unknowns.model
+    elif request.order == "file":
+        model = machine.model
+    else:
+        model = machine.with_order(ORDERS[0] if request.order == "evidence" else request.order).model
+    readings = load_instruments(request.instruments, machine, model)
+    with translated(ConfigurationError):
+        joined = replace(options, instruments=readings, join_contradicting=request.join_contradicting)
+    return replace(material, options=joined)
 
 
 def _thermometer(request: IdentificationRequest, balls: BallFile) -> ThermometerStatement:
@@ -351,6 +374,7 @@ def _provenance(result: IdentificationResult, request: IdentificationRequest) ->
         "time": result.timestamp,
         "software": f"volcal {version('volcal')}",
         "balls": request.balls.name,
+        **({"instruments": ", ".join(path.name for path in request.instruments)} if request.instruments else {}),
         "machine": request.machine.name,
         "artefact": request.artefact.name,
         "certificate": result.material.artefact.certificate,
@@ -375,6 +399,7 @@ def _report_data(result: IdentificationResult, request: IdentificationRequest, c
         "Weights": "full covariances" if options.weights == "full" else "all alike",
         "Legendre order": order_text(estimation.estimate),
         "Ball centres from": request.balls.name,
+        **({"Instruments": ", ".join(path.name for path in request.instruments)} if request.instruments else {}),
     }
     header = Header(
         title="Identification from files",
@@ -432,6 +457,7 @@ def _warnings(result: IdentificationResult, options: Options) -> tuple[str, ...]
         notes.append(f"{_sentence(drift_text(material.night.drift))}.")
     if not options.use_prior:
         notes.append("Without the family, unseen directions count as zero: the stated uncertainties leave them out.")
+    notes += instrument_warnings(estimation.estimate)
     calibration = estimation.estimate.artefact_calibration
     return (*notes, *calibration_warnings(calibration), *scale_warnings(estimation.estimate))
 

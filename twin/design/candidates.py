@@ -35,8 +35,9 @@ class CandidatePositions:
     `balls` (N,) is the number of measurable balls of each candidate. The vector z contains the P unknowns that all
     positions share. `factors` (N, r, P) contains one matrix W (r, P) for each candidate. The product WᵀW is the
     information about z that the candidate gives after its pose (the unknown rigid motion of the artefact) has been
-    eliminated by projection. `precision` (P, P) is the prior precision of z, and `form` is the design criterion: the
-    expected mean square of the error that remains after compensation, as a quadratic form of z.
+    eliminated by projection. `precision` (P, P) is the precision of z without any position: that of the prior and of
+    the planned readings of other instruments, whose whitened derivatives are `instruments` (m, P). `form` is the design
+    criterion: the expected mean square of the error that remains after compensation, as a quadratic form of z.
     """
 
     positions: tuple[Position, ...]
@@ -44,10 +45,18 @@ class CandidatePositions:
     factors: Array
     precision: Array
     form: Criterion
+    instruments: Array | None = None
 
     @property
     def count(self) -> int:
         return len(self.positions)
+
+    @property
+    def before(self) -> VolumetricRms:
+        """Volumetric error expected from the prior alone, without any measurement."""
+        if self.instruments is None:
+            return self.vce([])
+        return self.form.expected(np.linalg.inv(self.precision - self.instruments.T @ self.instruments))
 
     def covariance(self, chosen: Sequence[int] | Indices) -> Array:
         """Return the posterior covariance (P, P) of the P unknowns z that all positions share, after the `chosen`
@@ -61,7 +70,7 @@ class CandidatePositions:
         `chosen` candidates have been measured.
 
         The result contains the VCE before and after removal of the best-fitting rigid motion. If no candidate is
-        chosen, it is the VCE expected from the prior alone.
+        chosen, it is the VCE expected from the prior and the other instruments.
         """
         return self.form.expected(self.covariance(chosen))
 
@@ -77,6 +86,7 @@ def joined_candidates(parts: Sequence[CandidatePositions]) -> CandidatePositions
         factors=np.concatenate(padded),
         precision=parts[0].precision,
         form=parts[0].form,
+        instruments=parts[0].instruments,
     )
 
 
@@ -120,12 +130,14 @@ def build_candidates(
     """
     planned = procedure.plan(sorted(dict.fromkeys(positions), key=_order))
     problem = build_problem(family, planned.observations, procedure.artefact, options)
+    precision, direct = PriorPrecision(problem.blocks, problem.known).matrix(Scales()), problem.direct
     return CandidatePositions(
         positions=planned.positions,
         balls=_balls(planned),
         factors=_factors(problem),
-        precision=PriorPrecision(problem.blocks, problem.known).matrix(Scales()),
+        precision=precision if direct is None else precision + direct.rows.T @ direct.rows,
         form=Criterion.build(problem.unknowns, grid, tool_offset),
+        instruments=None if direct is None else direct.rows,
     )
 
 

@@ -3,7 +3,7 @@ machine."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -61,11 +61,11 @@ def valuation(
 
 
 def _covariances(problem: IdentificationProblem) -> tuple[Array, Array]:
-    precision = PriorPrecision(problem.blocks, problem.known)
+    precision = PriorPrecision(problem.blocks, problem.known, direct=problem.direct)
     matrix = CentreEquations.build(problem, unit_weights=False).matrix
     # the posterior of no measurement is the prior
     nothing = np.zeros_like(matrix)
     return (
-        Posterior.of(nothing, precision, Scales()).covariance,
+        Posterior.of(nothing, replace(precision, direct=None), Scales()).covariance,
         Posterior.of(matrix, precision, Scales()).covariance,
     )

@@ -20,6 +20,7 @@ from twin.artefact.certificate import BallDistance
 from twin.display import Displayed
 from twin.errors import FormatError, TwinError
 from twin.formats.drift_section import read_trend
+from twin.formats.instrument_section import InstrumentSection, instrument_documents
 from twin.formats.json_reading import read_json
 from twin.formats.prior_section import KEY, CarriedOverSection, carried_over_document, read_moments, read_unknowns
 from twin.formats.toml_reading import StrictModel
@@ -36,6 +37,7 @@ from twin.identification import (
     StepInRun,
 )
 from twin.identification.drift_trend import DriftTrend
+from twin.identification.instruments.check_result import InstrumentCheck
 from twin.identification.unknowns import Unknowns
 from twin.machine.axis_polynomial import AxisPolynomial
 from twin.machine.cross_term import CrossTerm
@@ -278,6 +280,7 @@ class EstimateFile(StrictModel):
     shift_pattern: PatternSection | None = None
     ball_shifts: tuple[BallShiftSection, ...] = ()
     common_scale: CommonScaleSection | None = None
+    instruments: tuple[InstrumentSection, ...] = ()
     artefact_calibration: dict[str, Any] | None
     volumetric: VolumetricSection | None
     carried_over: CarriedOverSection
@@ -320,6 +323,11 @@ class StoredEstimate(Displayed):
             BallCheck(row.ball, row.contradiction, _millimetres(row.apparent_error_um), row.certified)
             for row in self.document.certificate
         )
+
+    @property
+    def instruments(self) -> tuple[InstrumentCheck, ...]:
+        """Tests of the other instruments, and whether their readings are part of the estimate."""
+        return tuple(section.check for section in self.document.instruments)
 
     @property
     def artefact_calibration(self) -> ArtefactCalibration | None:
@@ -378,6 +386,7 @@ def format_estimate(
         "shift_pattern": pattern_document(estimate.pattern),
         "ball_shifts": ball_shift_documents(estimate.shifts),
         "common_scale": common_scale_document(estimate.common_scale),
+        "instruments": instrument_documents(estimate.instruments),
         "artefact_calibration": calibration_document(estimate.artefact_calibration),
         "volumetric": None if volumetric is None else volumetric.model_dump(),
         "carried_over": carried_over_document(

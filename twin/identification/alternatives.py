@@ -16,13 +16,16 @@ The measurements have the covariance V = σ²I + A D⁻¹Aᵀ, where σ is the t
 matrix and D the prior precision. The Fisher information of two log variances is half the trace of V⁻¹ ∂V V⁻¹ ∂V'. Here
 ∂V is the derivative of V with respect to the first log variance, and ∂V' is the derivative with respect to the second.
 The Fisher information can be computed from the posterior alone.
+
+Readings of other instruments (`PriorPrecision.direct`) belong to the estimate at each point, but say nothing about the
+scales: an instrument sees one error along one line, and a scale stands for all errors of an axis.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -53,6 +56,10 @@ def alternatives(
 
     `scales` are the likeliest scales, and `posterior` is the posterior of the P unknowns at these scales.
     """
+    whole = precision
+    if precision.direct is not None:
+        precision = replace(precision, direct=None)
+        posterior = Posterior.of(normal.matrix, precision, scales)
     free = np.array(free_scales(precision))
     information = _log_information(normal.rows, precision, posterior, scales)[np.ix_(free, free)]
     variances, axes = np.linalg.eigh(np.linalg.inv(information))
@@ -68,8 +75,8 @@ def alternatives(
             # twice the negative log density of a normal distribution rises by k at √k standard deviations
             factor = math.sqrt(len(axes) / rise) if rise > 0.0 else _FARTHEST
             other = _shifted(scales, min(max(factor, _NEAREST), _FARTHEST) * side)
-            there = Posterior.of(normal.matrix, precision, other)
-            found.append(Alternative(other, deviance(normal, precision, other, there)[1], there.covariance))
+            there = Posterior.of(normal.matrix, whole, other)
+            found.append(Alternative(other, deviance(normal, whole, other, there)[1], there.covariance))
     return tuple(found)
 
 

@@ -18,6 +18,7 @@ from twin.identification.checks.shift_pattern import SAG, EstimatedShift, Patter
 from twin.identification.checks.step_in_run import StepInRun
 from twin.identification.drift_trend import DriftTrend
 from twin.identification.evidence import OrderEvidence, scales_at_bounds
+from twin.identification.instruments.check_result import InstrumentCheck
 from twin.identification.misfit import MisfitModes
 from twin.identification.observability import NullDirection, Observability, observability, summary
 from twin.identification.options import Formulation
@@ -90,7 +91,8 @@ class Estimate(Displayed):
     `pattern` is the result of the test for shifts that follow a pattern over all positions; None likewise.
     `shifts` are the shifts of the balls, such as lost motion of an axis, that were estimated with the errors of the
     machine because the measurements show them. `common_scale` is the result of the test of the scale that all axes have
-    in common; None likewise, or if an estimate was carried over.
+    in common; None likewise, or if an estimate was carried over. `instruments` contains the result of the test of each
+    other instrument, and whether its readings are part of the estimate.
     """
 
     model: ErrorModel
@@ -118,6 +120,7 @@ class Estimate(Displayed):
     pattern: PatternTest | None = None
     shifts: tuple[EstimatedShift, ...] = ()
     common_scale: CommonScale | None = None
+    instruments: tuple[InstrumentCheck, ...] = ()
 
     def __repr__(self) -> str:
         return (

@@ -83,18 +83,43 @@ class JointPrior:
 
 
 @dataclass(frozen=True, eq=False)
+class DirectInformation:
+    """Equations B z = y in the P unknowns z with unit noise, beside those of the ball centres. The estimated scale of
+    the touch noise does not apply to them, and they do not take part in the estimation of scales.
+
+    `rows` (m, P) is B and `target` (m,) is y.
+    """
+
+    rows: Array
+    target: Array
+
+    @property
+    def vector(self) -> Array:
+        """Product Bᵀy (P,)."""
+        return np.asarray(self.target @ self.rows)
+
+    def extended(self, count: int) -> DirectInformation:
+        """Return the equations for a vector z with `count` further unknowns at its end, which do not occur in them."""
+        return DirectInformation(np.pad(self.rows, ((0, 0), (0, count))), self.target)
+
+
+@dataclass(frozen=True, eq=False)
 class PriorPrecision:
     """Prior precision of the unknowns z, given for prior standard deviations as stated (all scales equal to 1).
 
     Some unknowns may have the joint prior `known`. All others have mean zero and the unit matrix as precision, except
     the coefficients of the error motions if they have the prior `series`. If the unknowns have been turned to the
     principal axes of this prior, `principal` replaces `series`, and the prior precision is diagonal.
+
+    `direct` are the readings of other instruments. They belong to the measurements and are no part of the prior
+    precision; they are kept here because no scale applies to them. The posterior contains them.
     """
 
     blocks: UnknownBlocks
     known: JointPrior | None = None
     series: SeriesPrior | None = None
     principal: PrincipalSeries | None = None
+    direct: DirectInformation | None = None
 
     def has_free_scale(self, block: slice) -> bool:
         """Return True if the scale of the unknowns in `block` can be estimated. The block must not be empty, and no
@@ -103,8 +128,10 @@ class PriorPrecision:
 
     @property
     def information_vector(self) -> Array:
-        """Product (P,) of the prior precision and the prior mean of the P unknowns."""
-        return np.zeros(self.blocks.size) if self.known is None else self.known.information_vector
+        """Product (P,) of the prior precision and the prior mean of the P unknowns, with what the readings of other
+        instruments add to it."""
+        found = np.zeros(self.blocks.size) if self.known is None else self.known.information_vector
+        return found if self.direct is None else found + self.direct.vector
 
     def matrix(self, scales: Scales) -> Array:
         """Return the prior precision (P, P) of the P unknowns for the given scales."""
@@ -216,6 +243,8 @@ class Posterior:
     def of(cls, matrix: Array, precision: PriorPrecision, scales: Scales) -> Posterior:
         weighted = matrix * scales.noise**-2
         precision.add_to(weighted, scales)
+        if precision.direct is not None:
+            weighted += precision.direct.rows.T @ precision.direct.rows
         factor, wrong = dpotrf(weighted.T, lower=1, clean=1, overwrite_a=1)  # its transpose is Fortran-ordered
         if wrong:
             raise SingularSet("the measurements do not determine the model", hint="switch the prior on")

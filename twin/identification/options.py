@@ -7,6 +7,7 @@ from typing import Literal
 
 from twin.arrays import Array
 from twin.errors import DataError
+from twin.identification.instruments.readings import InstrumentReadings
 from twin.identification.prior_from_estimate import CarriedOverPrior
 from twin.identification.scales import Scales
 from twin.thermal.models import ThermalModel
@@ -59,6 +60,10 @@ class Options:
     `drift` is the temperature model that the thermal regressors of the observations belong to. It is None if drift of
     the machine is not estimated. `state_regressors` (w,) contains the thermal regressors in K of the state that the
     estimate describes. If it is None, all regressors of this state are zero, as at the start of the measurement.
+
+    `instruments` are readings of other instruments which are evaluated together with the ball centres. They describe
+    the machine without drift. `join_contradicting` is True if those that contradict the ball centres or each other are
+    used all the same.
     """
 
     formulation: Formulation = "centres"
@@ -74,6 +79,8 @@ class Options:
     temperature_standard_uncertainty_k: float | None = None
     drift: ThermalModel | None = None
     state_regressors: Array | None = None
+    instruments: tuple[InstrumentReadings, ...] = ()
+    join_contradicting: bool = False
 
     @property
     def start_scales(self) -> Scales:
@@ -96,6 +103,11 @@ class Options:
             raise DataError("temperature_standard_uncertainty_k must not be negative")
         if self.carried_over is not None:
             self._check_carried()
+        if self.instruments and (not self.use_prior or self.weights != "full"):
+            raise DataError(
+                "readings of instruments are joined by their covariances",
+                hint="switch the prior on and use full weights, or omit the instruments",
+            )
 
     def _check_cut_off(self, cut_off: float) -> None:
         if not 0.0 < cut_off < 1.0:

@@ -27,7 +27,8 @@ from twin.artefact.mount_geometry import MountGeometry
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import mount_pose
 from twin.errors import DataError
-from twin.identification.normal import JointPrior
+from twin.identification.instruments.rows import direct_information
+from twin.identification.normal import DirectInformation, JointPrior
 from twin.identification.options import Options
 from twin.identification.poses import PoseArms, Poses, RowLayout, rigid_poses
 from twin.identification.prior import unknowns_of
@@ -79,7 +80,7 @@ class IdentificationProblem:
     by gravity for a sag of 1, or None for an artefact that is not a single bar, and `sag_size_mm` is the standard
     deviation of an unstated sag. `design` (K,
     width, 3, P) is the derivative of left minus right side with respect to z, at `poses`, laid out by position. An
-    empty slot repeats another row of its position.
+    empty slot repeats another row of its position. `direct` are the readings of other instruments, or None without any.
     """
 
     unknowns: Unknowns
@@ -95,6 +96,7 @@ class IdentificationProblem:
     arms: PoseArms
     poses: Poses
     design: Array
+    direct: DirectInformation | None = None
 
     @property
     def touched(self) -> Array:
@@ -166,6 +168,7 @@ class IdentificationProblem:
             unknowns=unknowns,
             blocks=unknowns.blocks,
             known=None if self.known is None else self.known.extended(len(shifts)),
+            direct=None if self.direct is None else self.direct.extended(len(shifts)),
             design=np.concatenate((self.design, columns), axis=3),
         )
 
@@ -229,6 +232,7 @@ def build_problem(
         arms=PoseArms.of(layout, local, lines),
         poses=poses,
         design=design.reshape(layout.positions, layout.width, 3, -1),
+        direct=direct_information(options.instruments, unknowns),
     )
 
 

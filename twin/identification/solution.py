@@ -68,7 +68,7 @@ def solve(problem: IdentificationProblem, options: Options, formulation: Formula
     start, poses, _ = _normal(equations, np.zeros(problem.blocks.size), problem.poses)
     scales = options.start_scales
     if options.estimate_scales:
-        scales = most_likely_scales(start, precision, scales)
+        scales = most_likely_scales(start, _of_balls(precision), scales)
     posterior = Posterior.of(equations.matrix, precision, scales)
     gain = _NormalSolver(posterior, scales.noise**2, precision.information_vector)
     z, normal, poses, sides = _iterate(equations, gain, start, poses)
@@ -99,14 +99,14 @@ def log_evidence_and_scales(
     problem: IdentificationProblem, options: Options, start: Scales | None = None
 ) -> tuple[float, Scales]:
     """Return the log evidence (marginal likelihood) of the model in `problem` and the likeliest scales. Both are
-    computed from ball centres weighted by their covariances.
+    computed from ball centres weighted by their covariances, without the readings of other instruments.
 
     The estimation of the scales starts with `start` if it is given. Terms of the log evidence that depend only on the
     measured rows are omitted.
     """
     equations = _equations(problem, "centres", unit_weights=False)
     normal, _, _ = _normal(equations, np.zeros(problem.blocks.size), problem.poses)
-    precision = _precision(problem, equations.matrix, options)
+    precision = _of_balls(_precision(problem, equations.matrix, options))
     scales = start or options.start_scales
     if options.estimate_scales:
         return largest_log_evidence(normal, precision, scales)
@@ -123,7 +123,8 @@ def normal_equations(problem: IdentificationProblem) -> NormalEquations:
 def free_precision(problem: IdentificationProblem) -> PriorPrecision:
     """Return the prior precision of the unknowns of `problem` as it is used if the scales are estimated."""
     unknowns = problem.unknowns
-    return PriorPrecision(problem.blocks, problem.known, SeriesPrior.of(unknowns.model, unknowns.scale))
+    series = SeriesPrior.of(unknowns.model, unknowns.scale)
+    return PriorPrecision(problem.blocks, problem.known, series, direct=problem.direct)
 
 
 def _equations(
@@ -175,6 +176,12 @@ def _iterate(
     )
 
 
+def _of_balls(precision: PriorPrecision) -> PriorPrecision:
+    """Return the prior precision without the readings of other instruments, which say nothing about scales and order
+    (`twin.identification.alternatives`)."""
+    return replace(precision, direct=None)
+
+
 def _precision(problem: IdentificationProblem, matrix: Array, options: Options) -> PriorPrecision:
     """Return the prior precision. If the prior is off, only the directions that the measurements leave open are held at
     zero."""
@@ -182,7 +189,7 @@ def _precision(problem: IdentificationProblem, matrix: Array, options: Options) 
         unknowns = problem.unknowns
         free = options.estimate_scales and options.carried_over is None
         series = SeriesPrior.of(unknowns.model, unknowns.scale) if free else None
-        return PriorPrecision(problem.blocks, problem.known, series)
+        return PriorPrecision(problem.blocks, problem.known, series, direct=problem.direct)
     block = problem.blocks.parameters
     if options.formulation == "centres" and options.weights == "full":
         _check_field_determined(problem, matrix[block, block])

@@ -22,6 +22,7 @@ if will_run():
     from agent.cli.printing import columns_table, facts_table, results_console
     from agent.figures.heading import subject
     from agent.files import translated
+    from agent.model_files import load_instruments
     from agent.planning.case_file import load_case
     from agent.planning.design.design_files import check_target, write_design
     from agent.planning.design.design_result import (
@@ -94,6 +95,15 @@ def _minutes(_: click.Context, __: click.Parameter, text: str | None) -> float |
     is_flag=True,
     help="Also choose the places of the stations along their axis; the mount is carried.",
 )
+@click.option(
+    "--instrument",
+    "instruments",
+    type=PATH,
+    multiple=True,
+    metavar="FILE.csv",
+    help="Planned readings of an instrument that `volcal identify` will join. Their values do not matter; their time "
+    "is not counted. May be given several times.",
+)
 @click.option("--verify-set", is_flag=True, help="Also choose held-out positions for the verification.")
 @click.option("--out", type=PATH, default=Path("design.csv"), show_default=True, metavar="FILE.csv")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end.")
@@ -114,6 +124,7 @@ def design_command(
     theta_deg: list[float],
     choose_balls: bool,
     free_stations: bool,
+    instruments: tuple[Path, ...],
     verify_set: bool,
     out: Path,
     as_json: bool,
@@ -136,6 +147,7 @@ def design_command(
             thetas_deg=theta_deg,
             ball_shares=BALL_SHARES if choose_balls else (1.0,),
         )
+        planned = load_instruments(instruments, job.machine, job.machine.model)
         console = Console(stderr=True)
         with console.status("") as status:
             choices = compare_variants(
@@ -146,6 +158,7 @@ def design_command(
                 verify=verify_set,
                 prove=preflight_of,
                 say=lambda what: status.update(f"{what} …"),
+                instruments=planned,
             )
             best = next(choice for choice in choices if choice.best)
             places: Mapping[int, Array] = {}
@@ -235,6 +248,7 @@ def _document(
         "held_out": [_as_json(position) for position in found.held_out],
         "candidates": found.problem.candidates.count,
         "rehearsed": found.preflight_passed,
+        "instruments": [one.name for one in found.problem.instruments],
         "front": [vars(point) for point in found.front],
         "settings_sets": [vars(rival) for rival in rivals],
         "variants": [_variant(choice) for choice in choices],
@@ -281,6 +295,7 @@ def _show(
         ("VCE expected", f"{volumetric.after.aligned_um:.2f} µm aligned"),
         ("benefit", f"{volumetric.percent:.1f} % of the volumetric error removed"),
         ("preflight", "passed: no collision, no limit" if found.preflight_passed else "vetted, not run"),
+        *((one.name, f"{one.size} readings, joined; their time is not counted") for one in found.problem.instruments),
         *((rival.name, f"{rival.vce_um:.2f} µm in {rival.minutes:.1f} min") for rival in rivals),
         ("took", f"{seconds:.1f} s"),
     ]

@@ -22,7 +22,7 @@ if will_run():
 
     from agent.cli.printing import results_console, travel_rows
     from agent.figures.heading import subject
-    from agent.results.estimation import order_text
+    from agent.results.estimation import instrument_warnings, order_text
     from agent.results.gates import reasons
     from agent.runs.offline_identification import (
         DEFAULT_GATES,
@@ -96,6 +96,20 @@ def _order(_context: click.Context, _option: click.Parameter, text: str | None) 
     help="Standard uncertainty of the artefact's temperature, common to all rows [default: settings; without "
     "settings 1 K, or 3 K if the file contains no temperature].",
 )
+@click.option(
+    "--instrument",
+    "instruments",
+    type=PATH,
+    multiple=True,
+    metavar="FILE.csv",
+    help="Readings of a laser, straightness optics, ballbar or level, or an earlier report, evaluated with the ball "
+    "centres. May be given several times.",
+)
+@click.option(
+    "--join-contradicting",
+    is_flag=True,
+    help="With --instrument: use an instrument even if it contradicts the ball centres or the other instruments.",
+)
 @click.option("--tool", metavar="NAME", help="Tool for which the table is made [default: the one used most].")
 @click.option("--even-so", is_flag=True, help="Write the table, with a mark, although a gate did not pass.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout instead of a table.")
@@ -114,6 +128,8 @@ def identify(
     carried_over: Path | None,
     process_noise_um: float | None,
     temperature_uncertainty: float | None,
+    instruments: tuple[Path, ...],
+    join_contradicting: bool,
     tool: str | None,
     even_so: bool,
     as_json: bool,
@@ -126,6 +142,8 @@ def identify(
     started = wall_seconds()
     if process_noise_um is not None and carried_over is None:
         raise click.UsageError("--process-noise-um says how an estimate has aged: give it with --carried-over")
+    if join_contradicting and not instruments:
+        raise click.UsageError("--join-contradicting says what to do with instruments: give it with --instrument")
     settings = None if config is None else read_settings(config)
     if settings is not None:
         machine, artefact = machine or settings.machine, artefact or settings.artefact
@@ -153,6 +171,8 @@ def identify(
         even_so=even_so,
         temperature_uncertainty_k=temperature_uncertainty,
         thermometer_uncertainty_k=None if settings is None else settings.temperature.standard_uncertainty_k,
+        instruments=instruments,
+        join_contradicting=join_contradicting,
     )
     result = identify_files(request, utc_timestamp())
     if as_json:
@@ -188,6 +208,15 @@ def _show(result: IdentificationResult, config: Path | None, seconds: float) -> 
     console.print(f"Legendre order {order_text(estimate)}")
     if estimate.step is not None and estimate.step.hidden is not None:
         console.print(f"change during the measurement: {estimate.step.hidden.note}", markup=False)
+    for check in estimate.instruments:
+        used = "joined" if check.joined else "not used"
+        console.print(
+            f"{check.name}: {used}; χ² {check.chi2:.1f} with {check.degrees_of_freedom} degrees of freedom against the "
+            f"rest; largest: {check.largest.text}",
+            markup=False,
+        )
+    for warning in instrument_warnings(estimate):
+        console.print(f"note: {warning}", style="yellow", markup=False)
     console.print(estimation.thermometer.text, markup=False)
     if estimation.thermometer.warning is not None:
         console.print(f"note: {estimation.thermometer.warning}", style="yellow", markup=False)

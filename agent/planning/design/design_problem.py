@@ -23,6 +23,7 @@ from twin.design.measuring_cost import MeasuringCosts
 from twin.design.procedure import Procedure
 from twin.design.search import ExchangeSearch
 from twin.identification import Options
+from twin.identification.instruments.readings import InstrumentReadings
 from twin.machine.volumetric import evaluation_grid
 from twin.units import S_PER_MIN
 
@@ -39,7 +40,7 @@ class DesignProblem:
     which the positions are chosen; all minutes are those of this plan. Of the balls of each position within reach, the
     share `ball_share` is measured. `refused` contains the positions that a preflight has refused. `feasibility` maps
     the name of a tool to the feasibility check with that tool; the checks remain valid if further positions are
-    refused.
+    refused. `instruments` are planned readings of other instruments; where they are taken matters, not what they show.
     """
 
     jobs: Mapping[str, Job]
@@ -48,6 +49,7 @@ class DesignProblem:
     ball_share: float = 1.0
     refused: frozenset[Position] = frozenset()
     feasibility: dict[str, FeasibilityCheck] = field(default_factory=dict, repr=False)
+    instruments: tuple[InstrumentReadings, ...] = ()
 
     @property
     def job(self) -> Job:
@@ -61,7 +63,7 @@ class DesignProblem:
         This identification of the machine's errors uses ball centres, and takes all uncertainties as stated in the
         machine and artefact files and in the settings.
         """
-        return planning_options(self.job.settings.temperature)
+        return replace(planning_options(self.job.settings.temperature), instruments=self.instruments)
 
     @property
     def procedure(self) -> Procedure:
@@ -75,7 +77,7 @@ class DesignProblem:
         """Return the problem with the stations at other places (3,) in mm along their axis. Positions that a preflight
         has refused are offered again."""
         jobs = {name: with_places(job, places_mm) for name, job in self.jobs.items()}
-        return DesignProblem(jobs, self.grid_deg, self.plan_of, self.ball_share)
+        return DesignProblem(jobs, self.grid_deg, self.plan_of, self.ball_share, instruments=self.instruments)
 
     def feasibility_of(self, position: Position) -> FeasibilityCheck:
         """Return the check whether positions can be measured with the tool of `position`."""

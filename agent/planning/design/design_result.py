@@ -29,6 +29,7 @@ from twin.design.held_out import most_informative_groups
 from twin.design.search import ExchangeSearch
 from twin.design.station_places import StationPlaces
 from twin.design.valuation import Valuation
+from twin.identification.instruments.readings import InstrumentReadings
 from twin.machine.volumetric import evaluation_grid
 
 Say = Callable[[str], None]
@@ -120,7 +121,7 @@ def _unproved(
         chosen=draft.chosen,
         positions=draft.positions,
         minutes=draft.minutes,
-        valuation=Valuation(candidates.vce([]), candidates.vce(draft.chosen)),
+        valuation=Valuation(candidates.before, candidates.vce(draft.chosen)),
         balls=int(sum(candidates.balls[list(draft.chosen)])),
         held_out=draft.held_out,
         preflight_passed=False,
@@ -343,10 +344,19 @@ def refuse_fixed_stations(job: Job) -> None:
 
 
 def compare_variants(
-    variants: Sequence[Variant], goal: Goal, grid_deg: float, plan_of: Planner, *, verify: bool, prove: Prove, say: Say
+    variants: Sequence[Variant],
+    goal: Goal,
+    grid_deg: float,
+    plan_of: Planner,
+    *,
+    verify: bool,
+    prove: Prove,
+    say: Say,
+    instruments: tuple[InstrumentReadings, ...] = (),
 ) -> list[VariantDesign]:
     """Return a designed position set for each variant, and mark the best design. `plan_of` returns the plan of the run
-    for which the positions are chosen, and `prove` carries out its preflight.
+    for which the positions are chosen, and `prove` carries out its preflight. `instruments` are planned readings that
+    will be evaluated with the balls.
 
     If `goal` is a target error, the best design is the one that takes the least machine time. For any other goal, the
     best design is the one with the smallest expected volumetric error after compensation (VCE). If no variant reaches
@@ -363,7 +373,7 @@ def compare_variants(
             return VariantDesign(variant, None, error.message)
 
     for variant in variants:
-        problem = DesignProblem(variant.jobs, grid_deg, plan_of, variant.ball_share)
+        problem = DesignProblem(variant.jobs, grid_deg, plan_of, variant.ball_share, instruments=instruments)
         choices.append(designed(variant, partial(_unproved, problem, goal, verify=verify, say=say)))
     while True:  # only the best is proved: a preflight takes as long as a search
         reached = [number for number, choice in enumerate(choices) if choice.design is not None]

@@ -41,7 +41,7 @@ def front_of(search: ExchangeSearch, chosen: Sequence[int], minutes: float) -> t
     and takes `minutes`.
     """
     candidates = search.candidates
-    before = candidates.vce([]).aligned_um
+    before = candidates.before.aligned_um
     furthest = max(FURTHEST, len(chosen))
     start = Selection.of(candidates)
     grown = search.grow(start, lambda taken: np.full(candidates.count, len(taken) < furthest), per_minute=True)

@@ -3,6 +3,7 @@ compensation table and parameters."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from agent.reports.page.number_format import COVERAGE, Rows, Table, fixed, micro
 from agent.reports.page.texts import Texts
 from agent.results.facts import Quantity
 from twin.artefact.artefact_calibration import ArtefactCalibration
+from twin.identification.instruments.check_result import InstrumentCheck
 from twin.units import MICRO_UNITS, UM_PER_MM
 
 PARAMETER_COLUMNS = 4
@@ -116,6 +118,37 @@ def artefact_calibration(calibration: ArtefactCalibration | None) -> dict[str, A
     )
     heads = ("ball", "X / mm", "Y / mm", "Z / mm", "U(X) / µm", "U(Y) / µm", "U(Z) / µm")
     return {"table": Table(heads, rows, heads), "notes": calibration.limits}
+
+
+def joined_instruments(checks: Sequence[InstrumentCheck]) -> Table | None:
+    """Return the table of the other instruments, or None without any: what each read, whether it agrees with the ball
+    centres and the other instruments, and whether its readings are part of the estimate."""
+    if not checks:
+        return None
+    rows = tuple(
+        (
+            check.name,
+            check.kind,
+            str(check.readings),
+            f"{fixed(check.chi2, 1)} / {check.degrees_of_freedom}",
+            number(check.false_alarm, 2),
+            check.largest.text,
+            "contradicts" if check.contradicts else "agrees",
+            "yes" if check.joined else "no",
+        )
+        for check in checks
+    )
+    heads = (
+        "file",
+        "instrument",
+        "readings",
+        "χ² / degrees of freedom",
+        "probability",
+        "largest difference",
+        "result",
+        "joined",
+    )
+    return Table(heads, rows, ("readings", "χ² / degrees of freedom", "probability"))
 
 
 def null_intro(identification: IdentificationData) -> str:

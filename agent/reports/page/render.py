@@ -96,6 +96,7 @@ def _identification(data: ReportData, identification: IdentificationData, t: Tex
         "residual_note": identification_sections.residual_note(identification),
         "rejected": identification_sections.rejected(identification),
         "fit": identification_sections.fit(identification),
+        "joined": identification_sections.joined_instruments(identification.estimate.instruments),
         "calibration": identification_sections.artefact_calibration(identification.estimate.artefact_calibration),
         "null_intro": identification_sections.null_intro(identification),
         "null_directions": identification.estimate.null_summary,

@@ -87,6 +87,7 @@ ENGLISH: Texts = {
     "temperatures": "Temperatures",
     "probe": "Probe and stylus",
     "fit": "Fit",
+    "joined": "Readings of other instruments",
     "calibration": "Artefact as measured by this run",
     "null_space": "Undetermined parameter combinations",
     "gates": "Gates and decisions",
@@ -109,6 +110,11 @@ ENGLISH: Texts = {
     "tile_ve_now": "VCE with table, expected now, aligned",
     "tile_ve_before": "VCE after the last accepted night",
     # captions and notes
+    "joined_note": (
+        "Each instrument is tested against the ball centres and the other instruments. The probability is that of such "
+        "a χ² or a larger one if all are right. The largest difference is that of one reading, in its own standard "
+        "uncertainty, after the set-up has been fitted."
+    ),
     "calibration_note": (
         "Ball centres at the reference temperature, estimated together with the errors of the machine, with U (k = "
         "2). This is not a certificate of calibration. artefact.toml and artefact-covariance.csv beside this report "

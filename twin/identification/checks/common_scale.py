@@ -110,7 +110,8 @@ def common_scale(solution: Solution) -> CommonScale:
     scales = _scales(problem, normal, precision, solution)
     posterior = Posterior.of(normal.matrix, precision, scales)
     mean = posterior.solve(normal.right / scales.noise**2 + precision.information_vector)
-    prior = Posterior.of(np.zeros_like(normal.matrix), precision, replace(scales, noise=1.0))
+    alone = replace(precision, direct=None)
+    prior = Posterior.of(np.zeros_like(normal.matrix), alone, replace(scales, noise=1.0))
     observed = _observed(problem, prior)
     before, after = (observed @ one.solve(observed.T) for one in (prior, posterior))
     axes = observed @ mean
