@@ -98,9 +98,8 @@ class AlarmClock(VirtualClock):
         self._earliest_s = min(self._earliest_s, instant_s)
 
     def advance_to(self, instant_s: float) -> None:
-        before = self.now()
-        if self.watch is not None and instant_s > before:
-            self.watch(before, instant_s)
+        if self.watch is not None and instant_s > self._now:
+            self.watch(self._now, instant_s)
         super().advance_to(instant_s)
         if instant_s < self._earliest_s:
             return
