@@ -78,10 +78,11 @@ SEED ?= 1
 plans: setup
 	$(BIN)/python -m campaigns.plans --count $(COUNT) --seed $(SEED) --workers 2
 
-# Mutated inputs for every decoder; SECONDS bounds each decoder in s of wall time.
+# Mutated inputs for every decoder; SECONDS bounds each decoder in s of wall time. `python -m campaigns.sum FILE...` sums the
+# outputs of calls with different seeds, and so it does those of the other long campaigns with a seed or FIRST.
 SECONDS ?= 10
 fuzz: setup
-	$(BIN)/python -m campaigns.fuzz 1000000 $(SEED) $(SECONDS)
+	$(BIN)/python -m campaigns.fuzz 1000000 $(SEED) $(SECONDS) --workers 2
 
 # Inputs developed along the branches of each decoder, as long as it has SECONDS.
 fuzz-guided: setup
@@ -151,10 +152,11 @@ power-cuts: setup
 	$(BIN)/python -m campaigns.power_cuts --seed $(SEED)
 
 # Random requests to the owner of the machine at all moments of real runs in virtual time, with a link that fails, a
-# controller that refuses and a service that is killed. Some hours; ends with one line of JSON.
+# controller that refuses and a service that is killed. In parts with FIRST, the number of the first trial of 500 steps;
+# ends with one line of JSON.
 STEPS ?= 100000
 requests: setup
-	$(BIN)/python -m campaigns.requests --steps $(STEPS) --seed $(SEED)
+	$(BIN)/python -m campaigns.requests --steps $(STEPS) --first $(FIRST) --seed $(SEED) --workers 2
 
 # A million lines of a part program corrected: seconds, memory, and the ratio to one block at a time.
 gcode: setup

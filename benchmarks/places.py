@@ -17,8 +17,12 @@ def memory_directory(name: str) -> tempfile.TemporaryDirectory[str]:
     The durability of the journal is tested elsewhere, without this directory. If the system has no directory in memory,
     the directory is on disk.
     """
-    shared = SHARED_MEMORY if os.access(SHARED_MEMORY, os.W_OK) else None
-    return tempfile.TemporaryDirectory(prefix=f"volcal-{name}-", dir=shared)
+    return tempfile.TemporaryDirectory(prefix=f"volcal-{name}-", dir=memory_root())
+
+
+def memory_root() -> str | None:
+    """Return the directory in memory in which every user may make directories; None if the system has none."""
+    return SHARED_MEMORY if os.access(SHARED_MEMORY, os.W_OK) else None
 
 
 def write_csv(rows: Sequence[Mapping[str, object]], path: Path) -> None:

@@ -81,7 +81,8 @@ class VirtualClock:
         Without this minimum, a loop that waits for an instant could run for ever.
         """
         if duration_s > 0.0:
-            self.advance_to(max(self._now + duration_s, math.nextafter(self._now, math.inf)))
+            instant_s = self._now + duration_s
+            self.advance_to(instant_s if instant_s > self._now else math.nextafter(self._now, math.inf))
 
     def advance_to(self, instant_s: float) -> None:
         if instant_s <= self._now:
@@ -156,10 +157,10 @@ class InterruptibleClock:
 
     def sleep(self, duration_s: float) -> None:
         self._run_check()
-        remaining_s = duration_s
+        sleep, slice_s, remaining_s = self._inner.sleep, self._slice_s, duration_s
         while remaining_s > 0.0:
-            part_s = min(remaining_s, self._slice_s)
-            self._inner.sleep(part_s)
+            part_s = slice_s if remaining_s > slice_s else remaining_s
+            sleep(part_s)
             remaining_s -= part_s
             self._run_check()
 
@@ -168,9 +169,10 @@ class InterruptibleClock:
         return self._inner
 
     def _run_check(self) -> None:
-        before = self._inner.now()
+        now = self._inner.now
+        before = now()
         self._check()
-        self._held_s += self._inner.now() - before
+        self._held_s += now() - before
 
 
 def without_interrupts(clock: Clock) -> Clock:

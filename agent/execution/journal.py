@@ -269,7 +269,9 @@ class RunJournal:
 
     def estimate(self, record: str) -> None:
         """Store an estimate of the machine's errors. `record` is the JSON text of the estimate file."""
-        if not self._recorded.consume("estimates", *comparable_estimate(record)):
+        recorded = self._recorded
+        # The text is large: it is only taken apart if there is a recorded one to compare it with.
+        if not (recorded.awaits("estimates") and recorded.consume("estimates", *comparable_estimate(record))):
             self._execute("INSERT INTO estimates VALUES (?,?,?)", (self._run, utc_timestamp(), record))
 
     def table(self, role: str, bank: int, image: TableImage | None) -> None:

@@ -4,7 +4,6 @@ these records.
 
 from __future__ import annotations
 
-import json
 from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -57,11 +56,15 @@ class ReplayLog:
     steps: deque[RecordedStep] = field(default_factory=deque)
     unfinished: RecordedStep | None = None
     states: deque[RunState] = field(default_factory=deque)
-    entries: dict[str, deque[tuple[str, ...]]] = field(default_factory=dict)
+    entries: dict[str, deque[tuple[Any, ...]]] = field(default_factory=dict)
     ordinal: int = 0
     resumptions: int = 0
 
-    def consume(self, table: str, *entry: str) -> bool:
+    def awaits(self, table: str) -> bool:
+        """Return True if a recorded entry of the database table `table` is left."""
+        return bool(self.entries.get(table))
+
+    def consume(self, table: str, *entry: Any) -> bool:
         """Remove the next recorded entry of the database table `table` and return True if it equals `entry`.
 
         Return False if no recorded entry of this table is left. Raises PlanDiverged if the next entry differs from
@@ -93,16 +96,16 @@ def read_replay_log(reader: JournalReader, run: int) -> ReplayLog:
     )
 
 
-def comparable_estimate(estimate: str) -> tuple[str, str]:
-    """Return the format of the estimate with the JSON text `estimate`, and the text without the time at which it was
-    written.
+def comparable_estimate(estimate: str) -> tuple[str, dict[str, Any]]:
+    """Return the format of the estimate with the JSON text `estimate`, and its document without the time at which it
+    was written.
 
-    The texts of two estimates are then equal if the estimates differ only in this time.
+    The documents of two estimates are then equal if the estimates differ only in this time.
     """
     document: dict[str, Any] = stored_json(estimate)
     provenance: Mapping[str, Any] = document.get("provenance", {})
     timeless = {name: value for name, value in provenance.items() if name != "time"}
-    return str(document.get("format", "")), json.dumps({**document, "provenance": timeless}, sort_keys=True)
+    return str(document.get("format", "")), {**document, "provenance": timeless}
 
 
 def _recorded(step: StepRow) -> RecordedStep:
@@ -110,7 +113,7 @@ def _recorded(step: StepRow) -> RecordedStep:
     return RecordedStep(step.ordinal, step.key, step.kind, step.detail_text, step.finished_s, result)
 
 
-def _entries(reader: JournalReader, run: int) -> dict[str, deque[tuple[str, ...]]]:
+def _entries(reader: JournalReader, run: int) -> dict[str, deque[tuple[Any, ...]]]:
     """Return the rows written by the plans, by table.
 
     States, notes and faults are omitted, because the process wrote them and not a plan.
@@ -140,5 +143,5 @@ def _state(event: EventRow) -> RunState:
     return RunState(event.record["state"])
 
 
-def _difference(head: tuple[str, ...], entry: tuple[str, ...]) -> str:
+def _difference(head: tuple[Any, ...], entry: tuple[Any, ...]) -> str:
     return repr(entry[0]) if entry[0] != head[0] else "the same with other figures"

@@ -81,7 +81,8 @@ class Supervisor:
         self.heartbeat()
         if self._shielded or self._holding:
             return
-        self._raise_stop_request()
+        if self._stop_request is not None:
+            self._raise_stop_request()
         if self._hold.is_set():
             self._wait_for_resume()
 

@@ -74,8 +74,9 @@ def held_out_keys(held_out: Sequence[Position]) -> frozenset[str]:
 
 def phase_of(step: Step, held_out: frozenset[str]) -> str:
     """Return the phase of a run to which `step` belongs. `held_out` contains the keys of the held-out positions."""
-    prefix, *rest = step.key.split("/")
-    if isinstance(step, AskOperator) or any(part.startswith("change-") for part in rest[:2]):
+    prefix, *rest = step.key.split("/", 3)
+    changes = "/change-" in step.key and any(part.startswith("change-") for part in rest[:2])
+    if isinstance(step, AskOperator) or changes:
         return STATION_CHANGES
     if prefix in (CHECKS, HOMING):
         return PREPARATION

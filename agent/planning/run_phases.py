@@ -9,7 +9,7 @@ take minutes, in which the person wants to see which of them is being made.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from agent.probing.homing_touches import PREFIX as HOMING_PREFIX
 from agent.probing.preparation import PREFIX as PROBE_PREFIX
@@ -55,17 +55,17 @@ def phase_spans(timeline: Mapping[str, float]) -> tuple[PhaseSpan, ...]:
     Steps that take no time belong to the phase in which they are.
     """
     spans: list[PhaseSpan] = []
-    last_s = 0.0
+    present: str | None = None
+    begin_s = last_s = 0.0
     for key, end_s in timeline.items():
         if end_s <= last_s:
             continue
-        phase = _phase_after(key, spans[-1].phase if spans else None)
-        if spans and spans[-1].phase == phase:
-            spans[-1] = replace(spans[-1], end_s=end_s)
-        else:
-            spans.append(PhaseSpan(phase, last_s, end_s))
-        last_s = end_s
-    return tuple(spans)
+        phase = _phase_after(key, present)
+        if present is not None and phase != present:
+            spans.append(PhaseSpan(present, begin_s, last_s))
+            begin_s = last_s
+        present, last_s = phase, end_s
+    return tuple(spans) if present is None else (*spans, PhaseSpan(present, begin_s, last_s))
 
 
 def _phase_after(key: str, former: str | None) -> str:

@@ -9,7 +9,7 @@ the mean of what these took beyond their motion.
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from agent.execution.steps import HomeAxes, Step
 from agent.planning.branch_walk import Branch
@@ -48,6 +48,7 @@ class RunForecast:
     def _follow(self, branch: Branch) -> None:
         self._branch = branch
         self._spans = phase_spans(branch.timeline)
+        self._counts: dict[float, tuple[int, ...]] = {}
         self._ends_s: dict[str, list[float]] = {kind: [] for kind in KINDS}
         for timed in branch.steps:
             if takes_time(timed.step):
@@ -62,8 +63,10 @@ class RunForecast:
     @property
     def latencies_s(self) -> Mapping[str, float]:
         """Latency in s of each kind of step: the learned one, or the one of the settings."""
-        learned = {kind: self._record.mean_s(kind) for kind in KINDS if self._record.count(kind) >= ENOUGH[kind]}
-        return {**self._given_s, **learned}
+        return {kind: self._latency_s(kind) for kind in KINDS}
+
+    def _latency_s(self, kind: str) -> float:
+        return self._record.mean_s(kind) if self._record.count(kind) >= ENOUGH[kind] else self._given_s[kind]
 
     def at_start(self) -> Progress | None:
         """Return the progress before the first step; None if nothing is measured."""
@@ -88,9 +91,9 @@ class RunForecast:
         span = self._span_at(at_s)
         if span is None:
             return None
-        latencies_s = self.latencies_s
-        done_s, whole_s = self._until_s(at_s, latencies_s), self._until_s(self._branch.machine_seconds, latencies_s)
-        begin_s, end_s = self._until_s(span.begin_s, latencies_s), self._until_s(span.end_s, latencies_s)
+        learned_s = [self._latency_s(kind) - self._given_s[kind] for kind in KINDS]
+        done_s, whole_s = self._until_s(at_s, learned_s), self._until_s(self._branch.machine_seconds, learned_s)
+        begin_s, end_s = self._until_s(span.begin_s, learned_s), self._until_s(span.end_s, learned_s)
         return Progress(
             span.phase,
             _fraction(done_s, whole_s),
@@ -104,12 +107,20 @@ class RunForecast:
         number = bisect_right(self._spans, at_s, key=lambda span: span.end_s)
         return self._spans[min(number, len(self._spans) - 1)] if self._spans else None
 
-    def _until_s(self, at_s: float, latencies_s: Mapping[str, float]) -> float:
-        """Return the machine time in s with the latencies `latencies_s` up to the time `at_s` of the preflight."""
+    def _until_s(self, at_s: float, learned_s: Sequence[float]) -> float:
+        """Return the machine time in s up to the time `at_s` of the preflight. `learned_s` is what the latency of each
+        kind of step has become longer in s, in the order of `KINDS`."""
         spent_s = at_s
-        for kind, latency_s in latencies_s.items():
-            spent_s += bisect_right(self._ends_s[kind], at_s) * (latency_s - self._given_s[kind])
+        for count, longer_s in zip(self._counts_until(at_s), learned_s, strict=True):
+            spent_s += count * longer_s
         return max(0.0, spent_s)
+
+    def _counts_until(self, at_s: float) -> tuple[int, ...]:
+        """Return the number of steps of each kind that end up to the time `at_s` of the preflight. The numbers at the
+        ends of the branch and of its phases are wanted after every step."""
+        if at_s not in self._counts:
+            self._counts[at_s] = tuple(bisect_right(ends_s, at_s) for ends_s in self._ends_s.values())
+        return self._counts[at_s]
 
     def run_time(self, minutes: float) -> RunTime:
         """Return the account of the time of the run, which took `minutes` of machine time."""

@@ -12,9 +12,9 @@ run ends because of the first one, or in the resumed run. In the morning the fau
 again, or its run is resumed, or given up; a resumed run is judged as the night was.
 
 A night that violates an invariant is printed, one JSON object a line, with its seed and number; `--only NIGHT` plays it
-again in this process and prints its whole record. `--first` goes on with the nights of a seed after earlier calls.
-`--known` plays the nights that have once found a defect. The exit code is 0 only if no invariant is violated and at
-least 85 % of the nights have reached their fault.
+again in this process and prints its whole record. `--first` goes on with the nights of a seed after earlier calls;
+`python -m campaigns.sum` sums their output. `--known` plays the nights that have once found a defect. The exit code is
+0 only if no invariant is violated and at least 85 % of the nights have reached their fault.
 """
 
 from __future__ import annotations
@@ -94,7 +94,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
                     flush=True,
                 )
     result = summarise(records)
-    result |= {"machines_refused": refused, "cpu_s": round(cpu_s, 1), "wall_seconds": round(perf_counter() - began, 1)}
+    result |= {
+        "seed": given.seed,
+        "first": given.first,
+        "machines_refused": refused,
+        "cpu_s": round(cpu_s, 1),
+        "wall_seconds": round(perf_counter() - began, 1),
+    }
     print(json.dumps(result, allow_nan=False))
     return 0 if result["passed"] else 1
 

@@ -121,7 +121,7 @@ class FaultScene:
         """Return a rig of which one faulty device plays every role, except for those that devices on a real link
         play."""
         # A device sleeps on the interruptible clock of the run, but the world follows the clock below it.
-        self.clock.subscribe(self.advance)
+        self.clock.subscribe(self.world.advance_to if self.shared is None else self.shared.advance_to)
         found = self.connect(SimulatedMachineDevice(self.world, clock), clock)
         self.device = FaultyDevice(found.cnc, self.world, self.clock)
         cnc: Any = self.device
@@ -132,13 +132,6 @@ class FaultScene:
             devices[found.mount_name] = mount
         mounts = dict.fromkeys(range(1, len(settings.stations.places_mm) + 1), mount)
         return Rig(devices, cnc, cnc, mounts, cnc, cnc, other, clock)
-
-    def advance(self, instant_s: float) -> None:
-        """Advance the world and, if there is one, its controller on the wire."""
-        if self.shared is None:
-            self.world.advance_to(instant_s)
-        else:
-            self.shared.advance_to(instant_s)
 
 
 def build_world(seed: int, banks: Sequence[int] = (1, 2, OTHER_BANK)) -> World:

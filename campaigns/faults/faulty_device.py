@@ -6,8 +6,6 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from campaigns.plans.motion_run import AlarmClock
 from drivers.errors import VolcalError
 from drivers.modbus_cnc.device import ModbusCnc
@@ -125,9 +123,7 @@ class FaultyDevice:
     def _note_position(self, now_s: float) -> None:
         position = self._world.controller.displayed_at(now_s)
         if position != self._position:
-            if np.abs(np.subtract(position, self._position)).max() > 0.0:
-                self.moved_until_s = now_s
-            self._position = position
+            self.moved_until_s, self._position = now_s, position
 
 
 def _discard(among: list[Any], one: object) -> None:

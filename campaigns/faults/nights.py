@@ -36,7 +36,7 @@ from campaigns.faults.judgement import EndedRun, Start, record_run, start_volcal
 from campaigns.faults.night_record import NightRecord
 from campaigns.faults.planned_night import LINKED_EVERY, PlannedNight, plan_night
 from campaigns.faults.real_links import CAN_BUSES, linked
-from campaigns.resume.case import cache_preflight
+from campaigns.resume.case import cache_estimates, cache_preflight
 from drivers.clock import Clock
 from drivers.errors import VolcalError
 from simulators.world.world import World
@@ -111,10 +111,11 @@ def accepted_machine(seed: int, night: int) -> NightMachine:
     ends with an accepted table.
 
     On another machine no table is written, since a gate refuses it or no proof could show its gain with one held-out
-    position, and a fault that begins at a step that writes never would. The results of the preflight are cached for the
-    nights that follow. Raises RuntimeError if no table is accepted in `MOST_DRAWS` draws.
+    position, and a fault that begins at a step that writes never would. The results of the preflight and the
+    estimates are cached for the nights that follow. Raises RuntimeError if no table is accepted in `MOST_DRAWS` draws.
     """
     cache_preflight()
+    cache_estimates()
     for draw in range(MOST_DRAWS):
         world_seed = drawn_seed(seed, night, draw)
         with _scene(build_world(world_seed)) as (scene, directory):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import socket
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from pydantic import BaseModel, ValidationError
 from agent.planning.new_machine.fields import parse_travels
 from agent.planning.new_machine.spindle import parse_spindle
 from agent.service.http.models import AbortBody, AnswerBody, RestoreBody, ResumeRunBody, SettingsBody, StartBody
+from campaigns.fuzz.memory_file import MemoryFolder
 from campaigns.fuzz.trial import Decoder
 from drivers.canopen_mount.description import load_description
 from drivers.canopen_mount.settings import AxisSettings
@@ -73,7 +73,7 @@ def device_decoders() -> Iterator[Decoder]:
     yield Decoder("Modbus RTU frame", frames[:1], _rtu)
     yield Decoder("Modbus RTU frame with valid CRC", [READ_ANSWER], lambda data: _rtu(build_frame(UNIT, data)))
     yield Decoder("INI file of LinuxCNC", [INI, INI.replace(b"\n", b"\r\n")], _ini)
-    yield Decoder("EDS file of a drive", [_eds_file()], _eds)
+    yield Decoder("EDS file of a drive", [_eds_file()], _reading_eds())
     yield Decoder("line of G-code to the simulator", GCODE, _gcode, (BlockError, UnicodeDecodeError))
     yield Decoder("characters of a tape", [encode("N10G0X0\r\n")], decode)
     for body, good in BODIES:
@@ -209,12 +209,12 @@ DefaultValue=$NODEID+0x180
     return text.encode()
 
 
-def _eds(data: bytes) -> object:
+def _reading_eds() -> Callable[[bytes], object]:
+    folder = MemoryFolder()
     axis = {"node_id": 5, "encoder_counts_per_revolution": 4096, "lower_deg": -90.0, "upper_deg": 90.0}
     speed = {"speed_deg_per_s": 10.0, "acceleration_deg_per_s2": 10.0}
-    with TemporaryDirectory(prefix="volcal-fuzz-") as folder:
-        (Path(folder) / "drive.eds").write_bytes(data)
-        return load_description(AxisSettings.model_validate({**axis, **speed, "eds": "drive.eds"}), Path(folder))
+    settings = AxisSettings.model_validate({**axis, **speed, "eds": "drive.eds"})
+    return lambda data: folder.reading({"drive.eds": data}, lambda path: load_description(settings, path))
 
 
 def _gcode(data: bytes) -> object:

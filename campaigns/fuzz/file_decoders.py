@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from agent.files import read_text
 from agent.settings.schema import parse_settings
-from campaigns.fuzz.memory_file import MemoryFile
+from campaigns.fuzz.memory_file import MemoryFile, MemoryFolder
 from campaigns.fuzz.trial import Decoder
 from campaigns.part_programs.comparison import SETUP, TABLE
 from drivers.errors import InputError
@@ -26,17 +25,18 @@ from twin.compensation.table import CompensationTable
 from twin.compensation.table_file import format_side_file, format_table, parse_table
 from twin.formats.artefact_file import parse_artefact
 from twin.formats.ball_file import parse_balls
-from twin.formats.deflection_file import parse_deflection
+from twin.formats.deflection_file import format_deflection, parse_deflection
 from twin.formats.estimate_file import parse_estimate
 from twin.formats.machine_file import parse_machine
 from twin.formats.position_set_file import parse_positions
 from twin.machine.anchor import Anchor
+from twin.machine.deflection import DeflectionGrid, cantilever_deflection
 from twin.machine.machine_description import MachineDescription
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 CASE = CONFIG / "case-study.toml"
 MACHINE = CONFIG / "machines" / "case-study.toml"
-DEFLECTION = CONFIG / "machines" / "case-study-deflection.csv"
+SCENARIO = "scenario.toml"
 PROGRAM = b"""%
 N10 G21 G90 G17 G54 F500 S1000 M3
 N20 #1 = [2 * [3 + 4]]
@@ -71,12 +71,14 @@ def file_decoders() -> Iterator[Decoder]:
     artefacts = sorted((CONFIG / "artefacts").glob("*.toml"))
     yield _text("artefact (TOML)", artefacts, lambda text: parse_artefact(text, "artefact.toml", lambda _: ""))
     yield Decoder("part set-up (TOML)", [PART_SETUP], _decoding(lambda text: parse_part_setup(text, "part.toml")))
-    yield Decoder("scenario (TOML)", [(CONFIG / "simulators" / "case-study.toml").read_bytes()], _scenario)
+    yield _scenario_decoder()
     positions = [CONFIG / "bridge-positions.csv", CONFIG / "hand-placed-positions.csv"]
     yield _text("positions (CSV)", positions, lambda text: parse_positions(text, "positions.csv"))
     balls = [CONFIG / "examples" / "case-study-balls.csv"]
     yield _text("balls (CSV)", balls, lambda text: parse_balls(text, "balls.csv", machine.tools, travel=machine.limits))
-    yield _text("deflection (CSV)", [DEFLECTION], lambda text: parse_deflection(text, "deflection.csv"))
+    # A small grid: in the shipped one of 1,755 nodes nearly every change meets a cell of the same kind.
+    grid = [format_deflection(_small_grid()).encode()]
+    yield Decoder("deflection (CSV)", grid, _decoding(lambda text: parse_deflection(text, "deflection.csv")))
     table, side = format_table(_small_table()), format_side_file(_small_table())
     yield Decoder("table (CSV)", [table.encode()], _decoding(lambda text: parse_table(text, side, "t.csv", "t.json")))
     yield Decoder("table (JSON)", [side.encode()], _decoding(lambda text: parse_table(table, text, "t.csv", "t.json")))
@@ -102,14 +104,19 @@ def _decoding(parse: Callable[[str], object]) -> Callable[[bytes], object]:
     return lambda data: parse(read_text(file.holding(data)))
 
 
-def _scenario(data: bytes) -> object:
-    with TemporaryDirectory(prefix="volcal-fuzz-") as folder:
-        path = Path(folder) / "simulators" / "scenario.toml"
-        path.parent.mkdir()
+def _scenario_decoder() -> Decoder:
+    """Return the decoder of scenarios. The files that one names lie beside its folder, as the shipped ones do."""
+    folder = MemoryFolder()
+    good = (CONFIG / "simulators" / "case-study.toml").read_bytes()
+
+    def read(path: Path) -> object:
         for name in ("machines", "artefacts"):
-            (Path(folder) / name).symlink_to(CONFIG / name)
-        path.write_bytes(data)
-        return read_scenario(path)
+            (path / name).symlink_to(CONFIG / name)
+        moved = path / "simulators"
+        moved.mkdir()
+        return read_scenario((path / SCENARIO).rename(moved / SCENARIO))
+
+    return Decoder("scenario (TOML)", [good], lambda data: folder.reading({SCENARIO: data}, read))
 
 
 def _correct(data: bytes) -> object:
@@ -123,6 +130,11 @@ def _described_machine() -> MachineDescription:
 
 def _beside(path: Path) -> Callable[[str], str]:
     return lambda name: read_text(path.parent / name, error=InputError)
+
+
+def _small_grid() -> DeflectionGrid:
+    x, y, z = np.array([0.0, 2000.0, 4000.0]), np.array([0.0, 1300.0]), np.array([-10.5, 1500.0])
+    return cantilever_deflection(x, y, z)
 
 
 def _small_table() -> CompensationTable:

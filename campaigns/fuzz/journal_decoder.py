@@ -6,7 +6,6 @@ import sqlite3
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 from sqlalchemy import URL
@@ -32,6 +31,7 @@ from agent.runs.unfinished_run import unfinished_run
 from agent.service.state.archive import Archive
 from agent.service.state.journal_state import JournalState
 from agent.settings.history import HistorySettings
+from benchmarks.places import memory_directory
 from campaigns.fuzz.trial import Decoder
 from campaigns.resume.case import prepare_case
 from drivers.errors import VolcalError
@@ -51,7 +51,7 @@ class RunFiles(NamedTuple):
 
 def run_for_journal() -> RunFiles:
     """Carry out a short simulated run, and return its files."""
-    with TemporaryDirectory(prefix="volcal-fuzz-") as folder:
+    with memory_directory("fuzz") as folder:
         settings, machine = prepare_case(Path(folder))
         state = Path(folder) / "state"
         machine.run(settings.model_copy(update={"state_directory": state}))
@@ -108,7 +108,7 @@ def compacted_decoder(files: RunFiles) -> Decoder:
 
 
 def history_decoder(history: bytes) -> Decoder:
-    with TemporaryDirectory(prefix="volcal-fuzz-") as folder:
+    with memory_directory("fuzz") as folder:
         path = Path(folder) / "history.sqlite"
         path.write_bytes(history)
         with closing(HistoryStore(_address(path, ""))) as store:
@@ -118,7 +118,7 @@ def history_decoder(history: bytes) -> Decoder:
 
 def _read_history(data: bytes, machine: str) -> object:
     """Read a history as the page, the metrics and the commands do."""
-    with TemporaryDirectory(prefix="volcal-fuzz-") as folder:
+    with memory_directory("fuzz") as folder:
         path = Path(folder) / "history.sqlite"
         path.write_bytes(data)
         with closing(HistoryStore(_address(path, machine))) as store:
@@ -130,7 +130,7 @@ def _read_history(data: bytes, machine: str) -> object:
 
 def read_everything(data: bytes) -> None:
     """Read a journal in every way. Each way may refuse it; the first refusal is raised after all ways were tried."""
-    with TemporaryDirectory(prefix="volcal-fuzz-") as folder:
+    with memory_directory("fuzz") as folder:
         state = Path(folder)
         (state / FILE_NAME).write_bytes(data)
         refusals: list[Exception] = []

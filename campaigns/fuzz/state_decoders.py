@@ -25,7 +25,7 @@ from agent.service.gateway import sequence_ledger
 from agent.service.gateway.sequence_ledger import SequenceLedger
 from agent.service.opcua.node_sets import NODE_SETS, XML, read_node_sets
 from agent.service.token import read_token
-from campaigns.fuzz.memory_file import MemoryFile
+from campaigns.fuzz.memory_file import MemoryFile, MemoryFolder
 from campaigns.fuzz.trial import Decoder
 from drivers.errors import LinkLost, VolcalError
 from drivers.serial_cnc.bank_files import BankFiles
@@ -93,9 +93,9 @@ def state_decoders() -> Iterator[Decoder]:
     yield _file("sequence number of panels (JSON)", sequence_ledger.FILE_NAME, ledger, SequenceLedger)
     for kind, document in ((str, "# HELP volcal_runs runs in history"), (dict, {"trends": [], "runs": {}})):
         yield Decoder(f"kept documents (JSON, {kind.__name__})", [_kept(document)], _reading_kept(kind))
-    yield Decoder("active bank of a driver (text)", [ACTIVE], _active_bank)
+    yield Decoder("active bank of a driver (text)", [ACTIVE], _reading_active_bank())
     yield Decoder("token (text)", [b"0123456789abcdefghijklmnopqrstuvwxyz\n"], _reading(read_token))
-    yield Decoder("head of an OPC UA node set (XML)", [_node_set(0)], _read_node_sets)
+    yield Decoder("head of an OPC UA node set (XML)", [_node_set(0)], _reading_node_sets())
     yield Decoder(
         "answer of the service (JSON)", [json.dumps(STATUS).encode()], lambda data: _client(200, data).get("/")
     )
@@ -114,15 +114,8 @@ def _reading(read: Callable[[Path], object]) -> Callable[[bytes], object]:
 
 
 def _file(name: str, file: str, good: Any, read: Callable[[Path], object]) -> Decoder:
-    return Decoder(name, [json.dumps(good).encode()], lambda data: _in_folder(file, data, read))
-
-
-def _in_folder(name: str, data: bytes, read: Callable[[Path], object]) -> object:
-    with TemporaryDirectory(prefix="volcal-fuzz-") as folder:
-        path = Path(folder) / name
-        path.write_bytes(data)
-        path.chmod(0o600)
-        return read(Path(folder))
+    folder = MemoryFolder()
+    return Decoder(name, [json.dumps(good).encode()], lambda data: folder.reading({file: data}, read))
 
 
 def _kept(document: Any) -> bytes:
@@ -139,8 +132,9 @@ def _reading_kept(kind: type) -> Callable[[bytes], object]:
     return lambda data: read(data if data.startswith(head) else head + b', "documents": ' + data + b"}")
 
 
-def _active_bank(data: bytes) -> object:
-    return _in_folder("active", data, lambda folder: BankFiles(folder, {"device": "cnc"}).active())
+def _reading_active_bank() -> Callable[[bytes], object]:
+    folder = MemoryFolder()
+    return lambda data: folder.reading({"active": data}, lambda path: BankFiles(path, {"device": "cnc"}).active())
 
 
 def _node_set(number: int) -> bytes:
@@ -149,13 +143,10 @@ def _node_set(number: int) -> bytes:
     return f'<?xml version="1.0" encoding="utf-8"?><UANodeSet xmlns="{namespace}">{model}</UANodeSet>'.encode()
 
 
-def _read_node_sets(data: bytes) -> object:
-    def read(folder: Path) -> object:
-        for number in range(1, len(NODE_SETS)):
-            (folder / f"{number}.xml").write_bytes(_node_set(number))
-        return read_node_sets(folder)
-
-    return _in_folder("0.xml", data, read)
+def _reading_node_sets() -> Callable[[bytes], object]:
+    folder = MemoryFolder()
+    others = {f"{number}.xml": _node_set(number) for number in range(1, len(NODE_SETS))}
+    return lambda data: folder.reading({"0.xml": data, **others}, read_node_sets)
 
 
 class _AnsweredClient(Client):

@@ -4,6 +4,7 @@ branch of its plan.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import count
@@ -89,20 +90,21 @@ class AlarmClock(VirtualClock):
     def __init__(self) -> None:
         super().__init__()
         self._alarms: list[tuple[float, Callable[[], None]]] = []
+        self._earliest_s = math.inf
         self.watch: Callable[[float, float], None] | None = None
 
     def at(self, instant_s: float, action: Callable[[], None]) -> None:
         self._alarms.append((instant_s, action))
+        self._earliest_s = min(self._earliest_s, instant_s)
 
     def advance_to(self, instant_s: float) -> None:
-        if self.watch is None and not self._alarms:
-            super().advance_to(instant_s)
-            return
-        before = self.now()
-        if self.watch is not None and instant_s > before:
-            self.watch(before, instant_s)
+        if self.watch is not None and instant_s > self._now:
+            self.watch(self._now, instant_s)
         super().advance_to(instant_s)
+        if instant_s < self._earliest_s:
+            return
         due = [alarm for alarm in self._alarms if alarm[0] <= instant_s]
         self._alarms = [alarm for alarm in self._alarms if alarm[0] > instant_s]
+        self._earliest_s = min((alarm[0] for alarm in self._alarms), default=math.inf)
         for _, action in due:
             action()

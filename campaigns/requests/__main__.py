@@ -1,7 +1,7 @@
 """Random requests to the owner of the machine at all moments of real runs in virtual time. The output ends with one
 line of JSON.
 
-    python -m campaigns.requests [--steps 100000] [--seed 1] [--wall-minutes M]
+    python -m campaigns.requests [--steps 100000] [--first 0] [--seed 1] [--workers 2] [--wall-minutes M]
 
 Each trial has a simulated machine and a state directory of its own. A step is a request (start of any kind, hold,
 resume, abort, reset, answer, restoration of a table, resumption of a run, reload, end and restart of the service), a
@@ -10,8 +10,10 @@ run is in progress; every state follows by an allowed transition; a request is a
 it; a refusal changes neither state nor axes nor table; no touch begins after an abort and no axis moves after an end;
 the active table is the former or a proved one; each end is stated; the journal agrees with the status.
 
-`--wall-minutes` ends the campaign earlier; the number of steps is in the output. The exit code is 0 only if no
-condition was violated.
+Each trial has 500 steps. `--first` is the number of the first trial: it goes on with the trials of a seed after earlier
+calls, and `python -m campaigns.sum` sums their output. `--wall-minutes` ends the campaign earlier; the number of steps
+is in the output. The exit code is 0 only if no condition was violated and, from 10,000 steps on, each request was
+accepted.
 """
 
 from __future__ import annotations
@@ -22,9 +24,12 @@ import logging
 import os
 import sys
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from itertools import repeat
+from multiprocessing import get_context
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, process_time
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # must be set before numpy is imported
 
@@ -78,25 +83,51 @@ S_PER_MIN = 60.0
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--steps", type=int, default=100_000, help="number of steps")
+    parser.add_argument("--first", type=int, default=0, help="number of the first trial")
     parser.add_argument("--seed", type=int, default=1, help="number from which everything is drawn")
+    parser.add_argument("--workers", type=int, default=2, help="number of processes")
     parser.add_argument("--wall-minutes", type=float, default=float("inf"), help="longest duration in min")
     given = parser.parse_args(arguments)
-    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
-    count, began, trial = Count(), perf_counter(), 0
+    began = perf_counter()
     ends_s = began + given.wall_minutes * S_PER_MIN
-    while count.steps.total() < given.steps and perf_counter() < ends_s:
-        steps = min(STEPS_PER_TRIAL, given.steps - count.steps.total())
-        known = len(count.violations)
-        play(np.random.default_rng([given.seed, trial]), steps, count, ends_s)
-        for text in count.violations[known:]:
+    count, trials, cpu_s = Count(), 0, 0.0
+    for trial, (played, used_s) in _played(given.seed, given.first, given.steps, ends_s, given.workers):
+        for text in played.violations:
             print(f"trial {trial}: {text}", file=sys.stderr, flush=True)
-        trial += 1
-    result = {"steps": count.steps.total(), "trials": trial, "seed": given.seed, **summarise(count)}
-    missed = [name for name in REQUESTS if not count.accepted[name]] if count.steps.total() >= LONG_FORM_STEPS else []
-    result |= {"never_accepted": missed}
-    passed = not count.violations and not missed and count.steps.total() > 0
-    print(json.dumps({"passed": passed, **result, "wall_seconds": round(perf_counter() - began, 1)}))
+        count.add(played)
+        trials += bool(played.steps)
+        cpu_s += used_s
+    steps = count.steps.total()
+    missed = [name for name in REQUESTS if not count.accepted[name]]
+    passed = not count.violations and not (missed and steps >= LONG_FORM_STEPS) and steps > 0
+    result = {"passed": passed, "steps": steps, "trials": trials, "seed": given.seed, "first": given.first}
+    result |= {**summarise(count), "never_accepted": missed, "cpu_s": round(cpu_s, 1)}
+    print(json.dumps(result | {"wall_seconds": round(perf_counter() - began, 1)}))
     return 0 if passed else 1
+
+
+def _played(
+    seed: int, first: int, steps: int, ends_s: float, workers: int
+) -> Iterator[tuple[int, tuple[Count, float]]]:
+    """Yield the number of each trial with what `play_trial` returns."""
+    numbers = range(first, first - (-steps // STEPS_PER_TRIAL))
+    sizes = [min(STEPS_PER_TRIAL, steps - STEPS_PER_TRIAL * turn) for turn in range(len(numbers))]
+    work = repeat(seed), numbers, sizes, repeat(ends_s)
+    if workers == 1:
+        yield from zip(numbers, map(play_trial, *work), strict=True)
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        yield from zip(numbers, pool.map(play_trial, *work), strict=True)
+
+
+def play_trial(seed: int, number: int, steps: int, ends_s: float) -> tuple[Count, float]:
+    """Carry out one trial of so many steps, or until `ends_s` of `perf_counter`, which is the same in all processes.
+    Return what happened, and the CPU time in s that it took."""
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
+    began_s, count = process_time(), Count()
+    if perf_counter() < ends_s:
+        play(np.random.default_rng([seed, number]), steps, count, ends_s)
+    return count, process_time() - began_s
 
 
 def play(rng: Generator, steps: int, count: Count, ends_s: float) -> None:

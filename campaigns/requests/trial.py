@@ -62,6 +62,11 @@ class Count:
     states: Counter[str] = field(default_factory=Counter)
     violations: list[str] = field(default_factory=list)
 
+    def add(self, other: Count) -> None:
+        """Add the counts of another trial."""
+        for name, its in vars(other).items():
+            setattr(self, name, getattr(self, name) + its)
+
 
 class RequestTrial:
     """Owner of a simulated machine, and the model with which each of its answers is compared."""

@@ -7,11 +7,13 @@ switch has been used. The withdrawal of the probe and the clean-up of the interr
 from __future__ import annotations
 
 import json
+import pickle
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import agent.results.estimation
 import agent.runs.planned_run
 from agent.execution.device_assembly import Devices
 from agent.execution.encoding import table_digest
@@ -23,6 +25,7 @@ from agent.planning.case_file import SHIPPED_CONFIGURATION
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
 from agent.planning.preflight import never_interrupted, run_preflight
+from agent.results.estimation import EstimationResult, estimate_for_job
 from agent.runs.kinds.calibrate import FullCalibration
 from agent.runs.planned_run import Kind
 from agent.runs.resume.resume import resume
@@ -34,6 +37,8 @@ from drivers.clock import Clock, VirtualClock
 from simulators.backend import SimulatedMachineDevice
 from simulators.scenario import ScenarioDocument, build_scenario
 from simulators.world.world import World
+from twin.artefact.observations import Observations
+from twin.identification.options import Options
 
 MOMENTS = ("before", "begun", "midway", "done", "durable")
 """Instants of a step at which the run may be killed.
@@ -157,6 +162,23 @@ def cache_preflight() -> None:
         return done[start_mm]
 
     agent.runs.planned_run.run_preflight = once  # type: ignore[attr-defined]
+
+
+def cache_estimates() -> None:
+    """Cache the estimates of a trial on one machine by the measurements from which they are made: all runs that
+    measure the same have the same estimate, which is not what the trial is about.
+
+    Forked copies of the process inherit the cached results. A further call begins with an empty cache.
+    """
+    done: dict[bytes, EstimationResult] = {}
+
+    def once(job: Job, observations: Observations, options: Options) -> EstimationResult:
+        measured = pickle.dumps((observations, options))
+        if measured not in done:
+            done[measured] = estimate_for_job(job, observations, options)
+        return done[measured]
+
+    agent.results.estimation.estimate_for_job = once
 
 
 @dataclass

@@ -86,7 +86,7 @@ class World:
         """
         if instant_s <= self.now:
             return
-        crash = self.turn_crash
+        crash = self._turn_crash if self._looked_ahead else self.turn_crash
         # The state must stop at the instant of the collision, not at the one that was asked for.
         if crash is not None and crash.time_s <= instant_s:
             self._crash_turning(crash)

@@ -12,6 +12,7 @@ from campaigns.faults.__main__ import summarise
 from campaigns.faults.fault_kinds import KINDS
 from campaigns.faults.night_record import INVARIANTS, NightRecord, violations
 from campaigns.faults.planned_night import LINKS, plan_night
+from campaigns.sum import summed
 
 NIGHTS = 39
 """Every kind of fault in one process once, and one night with each real link; about 70 s of CPU time."""
@@ -166,6 +167,15 @@ def test_a_trial_whose_runs_end_before_their_fault_fails(missed: int, passed: bo
     nights = [replace(RESTORED, reached=number >= missed) for number in range(20)]
     counted = summarise(nights)
     assert (counted["reached"], counted["passed"]) == (20 - missed, passed)
+
+
+def test_nights_in_two_parts_are_those_in_one() -> None:
+    nights = [RESTORED, replace(PROVED, night=2), replace(RESTORED, night=3, reached=False)]
+    total = summed([summarise(nights[:1]), summarise(nights[1:])])
+    assert (total.pop("parts"), total.pop("passed")) == (2, False)  # half of the nights of a part missed their fault
+    together = summarise(nights)
+    del together["passed"]
+    assert total == together
 
 
 def test_nights_that_once_found_a_defect_end_as_they_must() -> None:

@@ -30,6 +30,15 @@ def test_random_requests_at_all_moments_of_real_runs() -> None:
     assert sum(count > 0 for count in found["accepted"].values()) > 6
 
 
+def test_trials_in_two_parts_are_those_in_one() -> None:
+    counts = [Count(), Count()]
+    for count in counts:
+        count.steps["start"] += 2
+        count.violations.append("two runs at once")
+    counts[0].add(counts[1])
+    assert (counts[0].steps, counts[0].violations) == ({"start": 4}, ["two runs at once"] * 2)
+
+
 @pytest.fixture
 def trial(tmp_path: Path) -> Iterator[RequestTrial]:
     played = RequestTrial(tmp_path, Count())

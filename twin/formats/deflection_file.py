@@ -7,6 +7,8 @@ the node; the columns ux, uy and uz contain the displacement.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,14 +60,18 @@ def _numbers(text: str, source: str) -> tuple[Array, list[int]]:
     header = [name.strip() for name in next(lines, (1, []))[1]]
     _check_header(header, source)
     order = [header.index(name) for name in COLUMNS]
+    in_order = itemgetter(*order)
     table, rows = [], []
     for number, cells in lines:
-        if not any(cell.strip() for cell in cells):
-            continue
-        if len(cells) != len(header):
-            message = f"{len(cells)} values, but the header names {len(header)} columns"
-            raise FormatError(message, file=source, row=number)
-        table.append([_number(cells[k], header[k], number, source) for k in order])
+        values = _finite(in_order(cells)) if len(cells) == len(header) else None
+        if values is None:
+            if not any(cell.strip() for cell in cells):
+                continue
+            if len(cells) != len(header):
+                message = f"{len(cells)} values, but the header names {len(header)} columns"
+                raise FormatError(message, file=source, row=number)
+            values = [_number(cells[k], header[k], number, source) for k in order]
+        table.append(values)
         rows.append(number)
     if not table:
         raise FormatError("no node follows the header", file=source)
@@ -81,6 +87,15 @@ def _check_header(header: list[str], source: str) -> None:
     for name in header:
         if name not in COLUMNS:
             raise FormatError(f"unknown column '{name}'", hint=hint, file=source, row=1)
+
+
+def _finite(cells: Sequence[str]) -> list[float] | None:
+    """Return the numbers in the cells; None unless all are finite. A grid has thousands of rows, nearly always good."""
+    try:
+        values = list(map(float, cells))
+    except ValueError:
+        return None
+    return values if all(map(math.isfinite, values)) else None
 
 
 def _number(cell: str, column: str, row: int, source: str) -> float:

@@ -148,13 +148,18 @@ def frame_crc(data: bytes) -> bytes:
     """Return the CRC-16 of a Modbus RTU frame as two bytes, low byte first."""
     register = 0xFFFF
     for byte in data:
-        register ^= byte
-        for _ in range(8):
-            carried = register & 1
-            register >>= 1
-            if carried:
-                register ^= 0xA001
+        register = (register >> 8) ^ _CRC_OF_BYTE[(register ^ byte) & 0xFF]
     return register.to_bytes(CRC_BYTES, "little")
+
+
+def _shifted_out(register: int) -> int:
+    """Return the register after one byte was shifted out of it, with the polynomial 0xA001."""
+    for _ in range(8):
+        register = (register >> 1) ^ (0xA001 if register & 1 else 0)
+    return register
+
+
+_CRC_OF_BYTE = tuple(map(_shifted_out, range(256)))
 
 
 def take_request(buffer: bytearray) -> tuple[int, bytes] | None:
