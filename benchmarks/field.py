@@ -71,7 +71,7 @@ def plain_loop(points: Array, parameters: Array) -> Array:
     4x4 matrices.
     """
     series = [MODEL.coefficients(axis, parameters) for axis in range(3)]
-    lean = list(MODEL.cross_terms(parameters).values())
+    lean = list(MODEL.column_and_ram(parameters).values())
     a0z, b0z, c0y = MODEL.squareness(parameters)
     tool = np.append(TOOL, 1.0)
     deviation = np.empty_like(points)

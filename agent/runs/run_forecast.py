@@ -9,7 +9,7 @@ the mean of what these took beyond their motion.
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from agent.execution.steps import HomeAxes, Step
 from agent.planning.branch_walk import Branch
@@ -59,11 +59,6 @@ class RunForecast:
         if takes_time(step) or isinstance(step, HomeAxes):
             self._spent_s[phase_of(step, self._held_out)] += took_s
         self._record.observe(step, result, took_s)
-
-    @property
-    def latencies_s(self) -> Mapping[str, float]:
-        """Latency in s of each kind of step: the learned one, or the one of the settings."""
-        return {kind: self._latency_s(kind) for kind in KINDS}
 
     def _latency_s(self, kind: str) -> float:
         return self._record.mean_s(kind) if self._record.count(kind) >= ENOUGH[kind] else self._given_s[kind]

@@ -23,7 +23,7 @@ from agent.service.access.paired_clients import PairedClients
 from agent.service.client import Client
 from agent.service.gateway import sequence_ledger
 from agent.service.gateway.sequence_ledger import SequenceLedger
-from agent.service.opcua.node_sets import NODE_SETS, XML, read_node_sets
+from agent.service.opcua.node_set_files import NODE_SETS, XML, read_node_sets
 from agent.service.token import read_token
 from campaigns.fuzz.memory_file import MemoryFile, MemoryFolder
 from campaigns.fuzz.trial import Decoder

@@ -29,7 +29,7 @@ ALIASES = {
 }
 HAS_SUBTYPE, HAS_PROPERTY, HAS_COMPONENT, HAS_ADD_IN = "HasSubtype", "HasProperty", "HasComponent", "HasAddIn"
 
-BOOLEAN, UINT16, UINT32, DOUBLE, STRING, NODE_ID, TEXT, UINTEGER = (f"i={n}" for n in (1, 5, 7, 11, 12, 17, 21, 28))
+BOOLEAN, UINT16, UINT32, STRING, NODE_ID, TEXT, UINTEGER = (f"i={n}" for n in (1, 5, 7, 12, 17, 21, 28))
 DURATION, UTC_TIME, ENUMERATION = "i=290", "i=294", "i=29"
 
 # number, name, the type above; of a variable type also its data type
