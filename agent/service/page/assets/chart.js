@@ -29,15 +29,19 @@ export function chart({ name, title, xLabel, yLabel = "", x, y, width: wide = 52
 
 const label = (x, y, anchor, text, kind = "") => draw("text", { x, y, "text-anchor": anchor, "font-size": FONT, class: kind }, text);
 
-/* Round values inside the range, at most about `count`. */
+/* Round values inside the range, at most about `count`, and at least two of them: one alone gives no scale. */
 export function rounded([low, high], count) {
   const span = high - low;
   if (!(span > 0)) return [low];
   const rough = span / count, power = 10 ** Math.floor(Math.log10(rough));
-  const step = [1, 2, 5, 10].find((factor) => factor * power >= rough) * power;
-  const values = [];
-  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * span; k++) values.push(k * step);
-  return values;
+  const widest = [1, 2, 5, 10].find((factor) => factor * power >= rough);
+  const multiples = (step) => {
+    const values = [];
+    for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * span; k++) values.push(k * step);
+    return values;
+  };
+  const steps = [10, 5, 2, 1, 0.5, 0.2, 0.1].filter((factor) => factor <= widest).map((factor) => factor * power);
+  return steps.map(multiples).find((values) => values.length > 1) ?? multiples(steps[0]);
 }
 
 /* Aligns the numbers at the ends so that they stay inside the chart. */

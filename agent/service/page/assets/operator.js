@@ -10,7 +10,7 @@ import { openResult } from "./result-card.js";
 import { openScene } from "./scene.js";
 import { on, seen } from "./store.js";
 import { told } from "./sentences.js";
-import { AT_REST, doing, eventText, phaseText, runText, stepWords } from "./wording.js";
+import { AT_REST, doing, eventText, phaseText, runText, whereWords } from "./wording.js";
 
 const RECENT = 4, MINUTE_S = 60;
 
@@ -198,13 +198,13 @@ function alarmTitle({ code }) {
 function alarmCard({ code, text, hint, where }) {
   const own = `alarm.${code}.do`;
   const todo = known(own) ? say(own) : told(hint);
-  const at = Object.entries(where).map(([name, value]) => `${known(`where.${name}`) ? say(`where.${name}`) : name}: ${(name === "step" && stepWords(value)) || value}`);
+  const at = whereWords(where);
   return make("section", { className: "card alarm" },
     make("h2", {}, alarmTitle({ code })),
     make("p", {}, told(text)),
     make("p", { className: "hint" }, `${say("alarm.do")} ${todo}`),
     hint && !sameWords(hint, inEnglish(own)) ? make("p", {}, told(hint)) : null,
-    at.length ? make("p", { className: "where" }, at.join(" · ")) : null);
+    at ? make("p", { className: "where" }, at) : null);
 }
 
 /* The general hint of the service equals that of the catalogue; only a more specific hint is shown in addition. */

@@ -5,6 +5,7 @@ import { heading, pager, remark, table, wordOr } from "./parts.js";
 import { read } from "./requests.js";
 import { told } from "./sentences.js";
 import { seen } from "./store.js";
+import { whereWords } from "./wording.js";
 
 export const ofRun = false;
 const PAGE = 25;
@@ -26,8 +27,8 @@ const isOpen = (run) => !run || (seen.status?.run_id === run && seen.status.alar
 
 function row({ since, until, run_id, kind, alarm: { code, text, where } }) {
   const meaning = known(`alarm.${code}`) ? make("b", {}, say(`alarm.${code}`)) : null;
-  const place = Object.entries(where).map(([name, value]) => `${wordOr("where", name)} ${value}`).join(", ");
+  const place = whereWords(where);
   return [number(code, 0), instant(since), until === null ? say(isOpen(run_id) ? "alarms.open" : "alarms.not_recorded") : instant(until),
-    make("div", { className: "cause" }, meaning, make("div", {}, told(text)), place ? make("small", {}, place) : null),
+    make("div", { className: "cause" }, meaning, make("div", {}, told(text)), place ? make("small", { title: where.step ?? "" }, place) : null),
     run_id ? make("div", {}, wordOr("kind", kind), make("br"), make("small", {}, run_id)) : say("alarms.between")];
 }

@@ -36,7 +36,7 @@ function textOf({ kind, record }) {
   if (kind === "request") return [told(record.text), record.by].filter(Boolean).join(" – ");
   const { step } = record;
   const where = step ? [make("span", { title: step }, stepWords(step))] : [];
-  const sentences = SENTENCES.filter((name) => record[name]).map((name) => told(record[name]));
+  const sentences = SENTENCES.filter((name) => record[name]).map((name) => reasonText(record[name]));
   return make("span", { className: "event-text" }, ...where, sentences.join("; "), make("small", {}, Object.entries(record).map(inWords).filter(Boolean).join(" · ")));
 }
 

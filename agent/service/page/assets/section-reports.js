@@ -14,11 +14,11 @@ import { reasonText, verdictMark } from "./wording.js";
 export const ofRun = false;
 const PAGE = 25, COMPARED = 2, DATES = { min: "2000-01-01", max: "9998-12-31" };
 const wanted = { kind: "", verdict: "", since: "", until: "", text: "" };
-let offset = 0, chosen = [];
+let offset = 0, chosen = [], unfolded = false;
 
 export async function parts({ runs, again, open }) {
   const found = await listed(runs);
-  return [heading("reports.title"), filters(found, again), ...(found.problem ? [make("p", { className: "remark" }, found.problem)] : []),
+  return [heading("reports.title"), ...filters(found, again), ...(found.problem ? [make("p", { className: "remark" }, found.problem)] : []),
     comparison(open), rows(found, again, open), pager(offset, PAGE, found.total, (to) => go(to, again)), ...diagnosing()];
 }
 
@@ -58,8 +58,25 @@ function filters({ kinds, verdicts }, again) {
     make("option", { value: "" }, say("reports.all")), ...Object.entries(counts).map(([name, count]) =>
       make("option", { value: name, selected: name === wanted[key] }, say("reports.counted", { word: word(name), count: number(count, 0) })))));
   const input = (key, type, more = {}) => field(`reports.${key}`, make("input", { id: `filter-${key}`, type, value: wanted[key], onchange: changed(key), ...more }));
-  return make("div", { className: "choosers" }, options("kind", kinds, (name) => wordOr("kind", name)), options("verdict", verdicts, (name) => wordOr("verdict", name)),
+  const set = Object.values(wanted).filter(Boolean).length;
+  const choosers = make("div", { className: "choosers", id: "filters" }, options("kind", kinds, (name) => wordOr("kind", name)), options("verdict", verdicts, (name) => wordOr("verdict", name)),
     input("since", "date", DATES), input("until", "date", DATES), input("text", "search", { maxLength: 100, title: say("reports.text_is") }));
+  return [unfolding(choosers, set), choosers];
+}
+
+/* On a small screen the runs come first: a button unfolds the filters, and says how many are set. Others show them always. */
+function unfolding(choosers, set) {
+  const button = make("button", { className: "unfold", onclick: () => {
+    unfolded = !unfolded;
+    show();
+  } }, set ? `${say("reports.filter")} (${number(set, 0)})` : say("reports.filter"));
+  const show = () => {
+    choosers.classList.toggle("folded", !unfolded);
+    button.setAttribute("aria-expanded", String(unfolded));
+  };
+  button.setAttribute("aria-controls", choosers.id);
+  show();
+  return button;
 }
 
 function comparison(open) {

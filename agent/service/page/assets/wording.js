@@ -95,6 +95,10 @@ export const reasonText = (reason) => told(reason)
   .replaceAll(/\bstep ([a-z-]+\/[^\s,)]*)/g, (_, key) => `${say("where.step")} ${stepWords(key) || key}`)
   .replaceAll(/\((device) /g, `(${say("where.device")} `);
 
+/* Places of an alarm, each with its name: the step in words, all else as the service says it. */
+export const whereWords = (where) => Object.entries(where).map(([name, value]) =>
+  `${known(`where.${name}`) ? say(`where.${name}`) : name}: ${(name === "step" && stepWords(value)) || value}`).join(" · ");
+
 /* Station, orientation and ball of a step in words; empty if it has none. */
 export function stepWords(step) {
   const at = placeOf(step);
