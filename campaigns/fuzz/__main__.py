@@ -35,7 +35,7 @@ COUNT = 1000
 
 
 @dataclass(frozen=True)
-class Extent:
+class TrialExtent:
     """Inputs that each decoder gets: `count` of them, drawn with `seed`, in `seconds` s of wall time at most."""
 
     count: int
@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     began = perf_counter()
     results: dict[str, dict[str, Any]] = {}
-    for found, wrong in _found(Extent(given.count, given.seed, given.seconds), given.only, given.workers):
+    for found, wrong in _found(TrialExtent(given.count, given.seed, given.seconds), given.only, given.workers):
         results[found.name] = {
             "read": found.read,
             "refused": found.refused,
@@ -79,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if result["passed"] else 1
 
 
-def _found(extent: Extent, only: str, workers: int) -> Iterator[tuple[TrialResult, list[str]]]:
+def _found(extent: TrialExtent, only: str, workers: int) -> Iterator[tuple[TrialResult, list[str]]]:
     """Yield what each decoder did with its inputs, and what is wrong with it, in the order of the decoders."""
     if workers == 1:
         _be_quiet()
@@ -98,13 +98,13 @@ def _be_quiet() -> None:
     warnings.simplefilter("error")  # as in the tests: a decoder that makes numpy warn has not judged its input
 
 
-def _try_numbered(number: int, only: str, extent: Extent) -> tuple[TrialResult, list[str]] | None:
+def _try_numbered(number: int, only: str, extent: TrialExtent) -> tuple[TrialResult, list[str]] | None:
     """Return what `_try_decoder` returns for the decoder with this number; None if it is not wanted."""
     decoder = decoder_at(number)
     return _try_decoder(decoder, extent) if only in decoder.name else None
 
 
-def _try_decoder(decoder: Decoder, extent: Extent) -> tuple[TrialResult, list[str]]:
+def _try_decoder(decoder: Decoder, extent: TrialExtent) -> tuple[TrialResult, list[str]]:
     found = tried(decoder, round(decoder.share * extent.count), extent.seed, extent.seconds)
     return found, [*found.failures, *excesses(decoder, found)]
 
