@@ -1,5 +1,5 @@
-"""Objects of the machine in addition, if further node sets are loaded, as data: it is then a measuring system of OPC
-40210, and its touch probe a peripheral of OPC 40505. docs/reference/opc-ua.md shows the same tables.
+"""Nodes that further node sets add to the machine, as data: with that of OPC 40210 it is a measuring system, and with
+that of OPC 40505 its touch probe is a peripheral. docs/reference/opc-ua.md shows the same tables.
 
 Of these specifications only that is here for which this program has a value, and what is mandatory beside it.
 """

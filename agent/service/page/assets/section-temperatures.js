@@ -1,7 +1,7 @@
 /* Section with the temperatures of a run, and the displacement of the first ball of each position at its end. */
 import { chart, level, line, points, reach } from "./chart.js";
 import { make } from "./dom.js";
-import { number, say } from "./language.js";
+import { known, number, say } from "./language.js";
 import { heading, remark, table } from "./parts.js";
 import { read } from "./requests.js";
 
@@ -29,7 +29,7 @@ function thermometers(readings) {
 
 function row(sensor, i, rows) {
   const [first, last] = [rows[0][1], rows.at(-1)[1]];
-  return [make("span", { className: `sensor station-${i % 8}` }, sensor), ...[first, last].map((value) => say("unit.celsius", { value: number(value, 2) })), say("unit.kelvin", { value: number(last - first, 2) })];
+  return [make("span", { className: `sensor station-${i % 8}`, title: sensor }, sensorWord(sensor)), ...[first, last].map((value) => say("unit.celsius", { value: number(value, 2) })), say("unit.kelvin", { value: number(last - first, 2) })];
 }
 
 function drifting(events) {
@@ -38,4 +38,11 @@ function drifting(events) {
   const limit = events[0].record.limit_um, x = [0.5, places.length + 0.5], y = reach([...lengths, ...(limit ? [limit] : [])], { zero: true });
   const draws = [...(limit ? [level(limit, x, "tolerance")] : []), points(places, lengths, null, "value")];
   return [make("figure", { className: "trend single" }, chart({ title: say("temperatures.drift"), xLabel: say("temperatures.position"), yLabel: "µm", x, y, draws, width: 900, height: 200 }))];
+}
+
+/* A thermometer has the name of its place; a further one at the same place has a number after it. */
+function sensorWord(name) {
+  const [, place, more] = /^(.*?)(-\d+)?$/.exec(name);
+  const key = `sensor.${place}`;
+  return `${known(key) ? say(key) : place}${more ?? ""}`;
 }
