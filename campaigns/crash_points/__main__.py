@@ -18,8 +18,9 @@ or the mount, and in the middle of each motion. At each point the process is for
 After some seconds of machine time volcal is started again, or the run is resumed, or it is given up; then it is judged
 by the invariants of `campaigns.faults`.
 
-`--every K` selects one point in K while the run measures, and `--every-other K` one in K of the others, at random. The
-exit code is 0 only if no invariant is violated.
+`--every K` selects one point in K while the run measures, and `--every-other K` one in K of the others, at random.
+`python -m campaigns.sum` sums the output of calls with different seeds. The exit code is 0 only if no invariant is
+violated.
 """
 
 from __future__ import annotations
@@ -61,7 +62,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     began = perf_counter()
     if given.kind == "processes":
         result = kill_processes(given.seed, given.kills, given.wall_minutes)
-        print(json.dumps({**result, "wall_seconds": round(perf_counter() - began, 1)}, allow_nan=False))
+        print(
+            json.dumps(
+                {**result, "seed": given.seed, "wall_seconds": round(perf_counter() - began, 1)}, allow_nan=False
+            )
+        )
         return 0 if result["passed"] else 1
     selections = [
         PointSelection(given.seed, given.every, given.every_other, share, given.workers)
@@ -82,7 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 if wrong := violations(record):
                     print(json.dumps({**asdict(record), "violated": wrong}, default=str), flush=True)
     result = summarise(counted, records)
-    result |= {"cpu_s": round(cpu_s, 1), "wall_seconds": round(perf_counter() - began, 1)}
+    result |= {"seed": given.seed, "cpu_s": round(cpu_s, 1), "wall_seconds": round(perf_counter() - began, 1)}
     print(json.dumps(result, allow_nan=False))
     return 0 if result["passed"] else 1
 

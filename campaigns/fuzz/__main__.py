@@ -13,34 +13,21 @@ from __future__ import annotations
 
 import argparse
 import json
-import logging
 import os
 import sys
-import warnings
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
 from multiprocessing import get_context
 from time import perf_counter
 from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # must be set before numpy is imported
 
-import structlog
-
-from campaigns.fuzz.catalogue import decoder_at, decoder_count, decoders
-from campaigns.fuzz.trial import Decoder, TrialResult, excesses, tried
+from campaigns.fuzz.catalogue import decoder_count, decoders
+from campaigns.fuzz.mutated_inputs import TrialExtent, be_quiet, try_decoder, try_numbered
+from campaigns.fuzz.trial import TrialResult
 
 COUNT = 1000
-
-
-@dataclass(frozen=True)
-class TrialExtent:
-    """Inputs that each decoder gets: `count` of them, drawn with `seed`, in `seconds` s of wall time at most."""
-
-    count: int
-    seed: int
-    seconds: float
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -82,31 +69,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _found(extent: TrialExtent, only: str, workers: int) -> Iterator[tuple[TrialResult, list[str]]]:
     """Yield what each decoder did with its inputs, and what is wrong with it, in the order of the decoders."""
     if workers == 1:
-        _be_quiet()
-        yield from (_try_decoder(decoder, extent) for decoder in decoders() if only in decoder.name)
+        be_quiet()
+        yield from (try_decoder(decoder, extent) for decoder in decoders() if only in decoder.name)
         return
     # Each process makes the decoders anew, because they hold open files. Those of a run, which come last and take
     # longest, begin first.
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_be_quiet) as pool:
-        trials = [pool.submit(_try_numbered, number, only, extent) for number in reversed(range(decoder_count()))]
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=be_quiet) as pool:
+        trials = [pool.submit(try_numbered, number, only, extent) for number in reversed(range(decoder_count()))]
         yield from (found for trial in reversed(trials) if (found := trial.result()) is not None)
-
-
-def _be_quiet() -> None:
-    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
-    logging.disable(logging.CRITICAL)
-    warnings.simplefilter("error")  # as in the tests: a decoder that makes numpy warn has not judged its input
-
-
-def _try_numbered(number: int, only: str, extent: TrialExtent) -> tuple[TrialResult, list[str]] | None:
-    """Return what `_try_decoder` returns for the decoder with this number; None if it is not wanted."""
-    decoder = decoder_at(number)
-    return _try_decoder(decoder, extent) if only in decoder.name else None
-
-
-def _try_decoder(decoder: Decoder, extent: TrialExtent) -> tuple[TrialResult, list[str]]:
-    found = tried(decoder, round(decoder.share * extent.count), extent.seed, extent.seconds)
-    return found, [*found.failures, *excesses(decoder, found)]
 
 
 if __name__ == "__main__":

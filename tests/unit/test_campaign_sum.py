@@ -79,6 +79,12 @@ def test_growth_of_the_parts_of_an_endurance_trial_is_that_of_the_worst() -> Non
     assert (total["runs"], total["handles"], total["cpu_s_per_run"]) == (150, [14, 15], {"verify": [2.5, 3.0]})
 
 
+def test_crash_points_are_those_of_one_part_and_kills_are_added() -> None:
+    part = {"passed": True, "points": 60, "points_by_kind": {"in a motion": 60}, "kills": 3, "seed": 1}
+    total = campaign_sum.summed([part, {**part, "kills": 4, "seed": 2}])
+    assert (total["points"], total["points_by_kind"], total["kills"]) == (60, {"in a motion": 60}, 7)
+
+
 @pytest.mark.parametrize(
     ("text", "told"),
     [
