@@ -164,7 +164,9 @@ def test_a_level_sees_the_turn_of_the_tool(direction: int) -> None:
     points = rng.uniform(LOW, HIGH, (8, 3))
     share = (points - LOW) / (HIGH - LOW)
     # to first order the angles of all axes add up: the true turn is the sum of their Legendre series
-    turn = sum(motion.at(share[:, axis])[:, 3 + direction] for axis, motion in enumerate(machine().motions))
+    turn = np.sum(
+        [motion.at(share[:, axis])[:, 3 + direction] for axis, motion in enumerate(machine().motions)], axis=0
+    )
     seen = level_readings(exact(turn + 3e-4, np.zeros(3)), points, np.eye(3)[direction], 0.5)
     assert left_over(seen) == pytest.approx(0.0, abs=1e-9)
 
