@@ -192,11 +192,11 @@ def main() -> int:
         results += found
     lasers = [one.checks[0] for one in results]
     document["instruments_named"] = sum(check.contradicts for one in results for check in one.checks)
-    joined = sum(check.joined for check in lasers)
-    document["lasers_joined"] = joined
     document["laser_minutes"] = round(float(np.mean([one.laser_minutes for one in results])), 1)
     held = summary([one.judged[name] for one in results for name in (S3_LASER, LASER, ALL)])["field_percent"]
     document["field_percent_with_instruments"] = held
+    joined = sum(check.joined for check in lasers)
+    document["lasers_joined"] = joined
     sys.stdout.write(json.dumps(document) + "\n")
     if given.worse_laser:
         return 0 if joined <= MISSED_SHARE * len(lasers) else 1

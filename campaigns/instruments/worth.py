@@ -48,7 +48,7 @@ _FEW = 8
 
 
 @dataclass(frozen=True)
-class ProcedureWorth:
+class ComparedProcedure:
     """Procedure with its expected error in µm and its minutes: of the bar, and of the laser without set-up."""
 
     name: str
@@ -89,7 +89,7 @@ def best_few(candidates: CandidatePositions, count: int) -> tuple[int, ...]:
     return PositionCountGoal(count).select(ExchangeSearch(candidates, same, min_improvement=0.0))
 
 
-def procedures(job: Job) -> list[ProcedureWorth]:
+def procedures(job: Job) -> list[ComparedProcedure]:
     """Return the procedures that are compared."""
     every = parse_position_set("S3", len(job.settings.stations.places_mm or ()) or 4)
     lines = [planned_line(job, axis) for axis in range(3)]
@@ -105,7 +105,7 @@ def procedures(job: Job) -> list[ProcedureWorth]:
         chosen = range(candidates.count) if count == len(every) else best_few(candidates, count)
         places = [candidates.positions[index] for index in sorted(chosen)]
         found.append(
-            ProcedureWorth(
+            ComparedProcedure(
                 name=name,
                 positions=len(places),
                 lines=used,
