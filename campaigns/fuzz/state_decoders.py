@@ -140,7 +140,8 @@ def _reading_active_bank() -> Callable[[bytes], object]:
 def _node_set(number: int) -> bytes:
     needed, namespace = NODE_SETS[number], XML.strip("{}")
     model = f'<Models><Model ModelUri="{needed.uri}" Version="{needed.version}"/></Models>'
-    return f'<?xml version="1.0" encoding="utf-8"?><UANodeSet xmlns="{namespace}">{model}</UANodeSet>'.encode()
+    uris = f"<NamespaceUris><Uri>{needed.uri}</Uri></NamespaceUris>"
+    return f'<?xml version="1.0" encoding="utf-8"?><UANodeSet xmlns="{namespace}">{uris}{model}</UANodeSet>'.encode()
 
 
 def _reading_node_sets() -> Callable[[bytes], object]:
