@@ -112,7 +112,7 @@ ENGLISH: Texts = {
     # captions and notes
     "joined_note": (
         "Each instrument is tested against the ball centres and the other instruments. The probability is that of such "
-        "a χ² or a larger one if all are right. The largest difference is that of one reading, in its own standard "
+        "a χ² or such a largest difference, at most, if all are right. The largest difference is that of one reading, in its own standard "
         "uncertainty, after the set-up has been fitted."
     ),
     "calibration_note": (
