@@ -77,7 +77,7 @@ class _Guard:
             complaints += attempt("withdraw the probe", self._withdraw)
         not_restored = self._attempt_restore()
         complaints += not_restored
-        reason = "; ".join([str(error), *complaints])
+        reason = self._results.end_reason = "; ".join([str(error), *complaints])
         end = RunState.ABORTED if aborted and not not_restored else RunState.FAULTED
         if isinstance(error, JournalFailed):  # not recorded when it occurred; it decides whether the run can go on
             attempt("record the fault", lambda: self._journal.fault(error))

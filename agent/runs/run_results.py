@@ -37,7 +37,8 @@ class RunResults:
     `found` is the compensation that was active at the start of the run. `active_bank` is the bank that may be active
     now. `job` is the job to which the positions in `measured` belong; it is None if this is the job with which the run
     began. `error` is the first error of a run that did not complete, or the reason why a written table is not yet
-    active.
+    active. `end_reason` states this error and what could not be done at the end, such as the restoration of the former
+    table; it is empty for a run that ended otherwise.
     """
 
     found: ActiveCompensation | None = None
@@ -53,6 +54,7 @@ class RunResults:
     active_bank: int | None = None
     job: Job | None = None
     error: VolcalError | None = None
+    end_reason: str = ""
 
     def observe(self, step: Step, result: object) -> None:  # noqa: PLR0912  one case a type of conclusion
         """Take over the result of a conclusion; other steps have no results that are kept here."""

@@ -329,7 +329,7 @@ class RunSession:
             after_homing=self._after_homing(),
             reversal=() if progress.prepared is None else progress.prepared.reversals,
             kind=self._kind.name,
-            reason="" if progress.error is None else str(progress.error),
+            reason=progress.end_reason or ("" if progress.error is None else str(progress.error)),
         )
 
 

@@ -250,6 +250,7 @@ def test_the_machine_is_stopped_withdrawn_and_restored(error: VolcalError, state
     assert journal.tables == [("backup", FOUND), ("restored", FOUND)]
     assert [one for one, _ in journal.states[-2:]] == [RunState.ABORTING, state]
     assert str(error) in journal.states[-1][1]
+    assert run.results.end_reason == journal.states[-1][1]
 
 
 def test_the_fault_of_the_controller_is_cleared_before_the_bank_is_activated() -> None:
