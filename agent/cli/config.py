@@ -27,6 +27,7 @@ if will_run():
     from agent.settings.plausible_ranges import implausible_values
     from agent.settings.schema import Settings
     from twin.machine.machine_description import MachineDescription
+    from twin.machine.structure import own_axis_degrees
     from twin.units import MICRO_UNITS
 
 
@@ -73,6 +74,13 @@ def machine_command(config: Path, file: Path | None) -> None:
     """Print the cross-effect of the machine: the parameters that follow from its beams, and their polynomials."""
     machine = load_machine(file or load_settings(config).machine)
     console = results_console()
+    for error, degree in own_axis_degrees(machine.beams, machine.model).items():
+        if degree > machine.model.orders[error]:
+            click.echo(
+                f"warning: {error} has the order {machine.model.orders[error]}, but its beams need the order {degree}: "
+                "the series represents the deflection only in part; raise model.order",
+                err=True,
+            )
     if not machine.model.cross_terms and not machine.derived_terms:
         console.print(f"{machine.name}: no cross-effect", markup=False)
         return

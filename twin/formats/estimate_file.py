@@ -386,7 +386,8 @@ def format_estimate(
         "shift_pattern": pattern_document(estimate.pattern),
         "ball_shifts": ball_shift_documents(estimate.shifts),
         "common_scale": common_scale_document(estimate.common_scale),
-        "instruments": instrument_documents(estimate.instruments),
+        # A resumed run compares this document with the one that an earlier version may have stored without these keys.
+        **({"instruments": instrument_documents(estimate.instruments)} if estimate.instruments else {}),
         "artefact_calibration": calibration_document(estimate.artefact_calibration),
         "volumetric": None if volumetric is None else volumetric.model_dump(),
         "carried_over": carried_over_document(
@@ -529,11 +530,15 @@ def _model_document(model: ErrorModel) -> dict[str, Any]:
         "ranges_mm": [list(pair) for pair in model.ranges_mm],
         "orders": dict(model.orders),
         "cross_effect": list(model.cross_effect),
-        "structure": [
-            {"name": one.name, "error": one.error, "polynomial": [list(part) for part in one.polynomial.terms]}
-            for one in model.structure
-        ],
+        **({"structure": _structure_document(model.structure)} if model.structure else {}),
     }
+
+
+def _structure_document(structure: Sequence[CrossTerm]) -> list[dict[str, Any]]:
+    return [
+        {"name": one.name, "error": one.error, "polynomial": [list(part) for part in one.polynomial.terms]}
+        for one in structure
+    ]
 
 
 def _parameters(estimate: Estimate) -> list[dict[str, Any]]:

@@ -18,7 +18,7 @@ from twin.machine.deflection import DeflectionGrid
 from twin.machine.error_model import CROSS_TERMS, DEFAULT_CROSS_EFFECT, ERROR_MOTIONS, ErrorModel, Ranges
 from twin.machine.kinematic_chain import AXES, parse_chain
 from twin.machine.machine_description import MachineDescription, Triple
-from twin.machine.machine_population import DEFAULT_DECAY, family_from_amplitudes
+from twin.machine.machine_population import DEFAULT_DECAY, Family, family_from_amplitudes
 from twin.machine.structure import DerivedTerm
 from twin.units import MICRO_UNITS
 
@@ -129,6 +129,8 @@ def _build_description(
     derived = _derived(section, model, source)
     model = replace(model, **_cross_terms(derived)) if section.beams else model
     amplitudes = section.model.family.model_dump() | _expected_sizes(derived)
+    family = family_from_amplitudes(model, amplitudes)
+    _require_widths(family, derived, source)
     return MachineDescription(
         name=section.name,
         model=model,
@@ -137,10 +139,11 @@ def _build_description(
         feed_mm_per_min=_triple([axis.feed_mm_per_min for axis in axes]),
         acceleration_mm_per_s2=_triple([axis.acceleration_mm_per_s2 for axis in axes]),
         tools={name: np.array(tool.offset_mm) for name, tool in section.tools.items()},
-        family=family_from_amplitudes(model, amplitudes),
+        family=family,
         amplitudes=amplitudes,
         deflection=_deflection(section.deflection, source, read_text),
         derived_terms=derived,
+        beams=tuple(beam.beam for beam in section.beams),
     )
 
 
@@ -149,6 +152,16 @@ def _derived(section: MachineSection, model: ErrorModel, source: str) -> tuple[D
         message = "the beams of this file determine the cross-effect, so it cannot be stated as well"
         raise FormatError(message, hint="Remove cross_effect or the beams", file=source, key="model.cross_effect")
     return derived_from(section.beams, model, source)
+
+
+def _require_widths(family: Family, derived: Sequence[DerivedTerm], source: str) -> None:
+    """Raise FormatError if a parameter of the beams would be held at zero by a half-width of zero."""
+    for one in derived:
+        if not one.redundant and family.half_widths[family.model.index(one.term.name)] == 0.0:
+            key = "model.family.cross_displacement_um" if one.term.unit == "mm" else "model.family.cross_rotation_urad"
+            message = f"the half-width of {one.term.name} is 0, so this effect of the beams would not be identified"
+            hint = "Set this key to more than 0, or state all masses and stiffnesses of the beams"
+            raise FormatError(message, hint=hint, file=source, key=key, beam=one.beams[0])
 
 
 def _cross_terms(derived: Sequence[DerivedTerm]) -> dict[str, Any]:

@@ -5,18 +5,23 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import TypeAlias
 
 import numpy as np
+from numpy.polynomial.polynomial import polyder, polyroots, polyval
 
 from twin.arrays import Array
 from twin.immutable import Immutable
 from twin.machine.kinematic_chain import AXES
 
 Powers = tuple[int, int, int]
+PolynomialVector: TypeAlias = "tuple[AxisPolynomial, AxisPolynomial, AxisPolynomial]"
 
 _DIGITS = 12  # significant digits of a coefficient: two derivations of the same polynomial differ only beyond them
 _ROUNDING = 1e-13
-_GRID = 9  # values per axis at which the largest value of a polynomial is sought
+_GRID = 17  # values per axis at which the search for the largest value of a polynomial begins
+_TIE = 1e-9  # relative difference of two values that only rounding distinguishes
+_SWEEPS = 50
 
 
 @dataclass(frozen=True)
@@ -111,14 +116,42 @@ class AxisPolynomial(Immutable):
         if len(self.terms) == 1:
             ((powers, value),) = self.terms
             return AxisPolynomial(((powers, 1.0),)), value
-        used = [np.linspace(0.0, 1.0, _GRID) if degree else np.zeros(1) for degree in self.degrees]
-        values = self.at([part.ravel() for part in np.meshgrid(*used, indexing="ij")])
-        largest = float(values[int(np.argmax(np.abs(values)))])
+        largest = self._largest()
         if largest == 0.0:
             return AxisPolynomial(), 0.0
         biggest = max(abs(value) for _, value in self.terms) / abs(largest)
         terms = ((powers, _rounded(value / largest, biggest)) for powers, value in self.terms)
         return AxisPolynomial.of(terms), largest
+
+    def _largest(self) -> float:
+        """Return the value of the largest magnitude within the ranges, the positive one of two that are equal."""
+        used = [np.linspace(0.0, 1.0, _GRID) if degree else np.zeros(1) for degree in self.degrees]
+        grid = [part.ravel() for part in np.meshgrid(*used, indexing="ij")]
+        values = self.at(grid)
+        starts = [[float(part[index]) for part in grid] for index in (int(np.argmax(values)), int(np.argmin(values)))]
+        highest, lowest = self._climbed(starts[0], 1.0), self._climbed(starts[1], -1.0)
+        return highest if highest >= -lowest * (1.0 - _TIE) else lowest
+
+    def _climbed(self, start: Sequence[float], sign: float) -> float:
+        """Return the maximum (`sign` 1) or minimum (-1) near the fractions `start`: one axis after the other is moved
+        to the exact extremum along it, until nothing changes."""
+        point, found = list(start), -np.inf
+        for _ in range(_SWEEPS):
+            before = found
+            for axis in self.axes:
+                coefficients = np.zeros(self.degrees[axis] + 1)
+                for powers, value in self.terms:
+                    others = [point[other] ** powers[other] for other in range(3) if other != axis]
+                    coefficients[powers[axis]] += sign * value * others[0] * others[1]
+                # a double root may have a small imaginary part; its real part is as good as any other candidate
+                roots = polyroots(polyder(coefficients)).real
+                candidates = np.clip(np.concatenate(([point[axis], 0.0, 1.0], roots)), 0.0, 1.0)
+                heights = polyval(candidates, coefficients)
+                best = int(np.argmax(heights))
+                point[axis], found = float(candidates[best]), float(heights[best])
+            if found - before <= _ROUNDING * abs(found):
+                break
+        return sign * found
 
     def __str__(self) -> str:
         """Text such as `y z² - 0.5 y`."""
@@ -138,3 +171,25 @@ def _rounded(value: float, biggest: float) -> float:
     """Return `value` without the digits that lie below the rounding of the largest coefficient."""
     step = 10.0 ** (np.floor(np.log10(biggest)) - _DIGITS)
     return float(np.round(value / step) * step)
+
+
+def polynomial_vector(parts: Sequence[AxisPolynomial]) -> PolynomialVector:
+    x, y, z = parts
+    return x, y, z
+
+
+def constant_vector(values: Sequence[float]) -> PolynomialVector:
+    return polynomial_vector([AxisPolynomial.constant(value) for value in values])
+
+
+def unit_vector(axis: int) -> PolynomialVector:
+    return polynomial_vector([AxisPolynomial.constant(float(axis == other)) for other in range(3)])
+
+
+def vector_sum(one: PolynomialVector, two: PolynomialVector) -> PolynomialVector:
+    return polynomial_vector([a + b for a, b in zip(one, two, strict=True)])
+
+
+def vector_product(one: PolynomialVector, two: PolynomialVector) -> PolynomialVector:
+    (a, b, c), (d, e, f) = one, two
+    return polynomial_vector([b * f + c * e * -1.0, c * d + a * f * -1.0, a * e + b * d * -1.0])

@@ -12,7 +12,7 @@ from twin.machine.deflection import DeflectionGrid
 from twin.machine.error_model import ERROR_MOTIONS, ErrorModel, Ranges
 from twin.machine.kinematic_chain import AXES
 from twin.machine.machine_population import Family, family_from_amplitudes
-from twin.machine.structure import DerivedTerm
+from twin.machine.structure import DerivedTerm, StructuralBeam
 
 Triple = tuple[float, float, float]
 
@@ -26,7 +26,7 @@ class MachineDescription(Displayed):
     the stylus centre. `amplitudes` contains the half-widths, as written in the machine file, of the parameters in the
     family of machines (the prior population). From these half-widths the family can also be built for a different
     Legendre order. `derived_terms` contains all terms of the cross-effect that follow from the beams of the machine,
-    the redundant ones included; it is empty if the machine file states no beams.
+    the redundant ones included, and `beams` contains these beams; both are empty if the machine file states no beams.
     """
 
     name: str
@@ -40,6 +40,7 @@ class MachineDescription(Displayed):
     amplitudes: Mapping[str, float | Sequence[float]] = field(hash=False)
     deflection: DeflectionGrid | None
     derived_terms: tuple[DerivedTerm, ...] = ()
+    beams: tuple[StructuralBeam, ...] = ()
 
     def __repr__(self) -> str:
         return f"<MachineDescription: {self.name!r}, {self.model.chain}, tools {', '.join(sorted(self.tools))}>"

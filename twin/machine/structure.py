@@ -13,7 +13,9 @@ As polynomials in y and z these are the terms b0, b1, b2 and c0, c1 of the colum
 the Legendre series of EYZ and EAZ.
 
 Three rules make parameters of a derived polynomial. Its terms that contain only the axis of the beam itself are left
-out, since they belong to the Legendre series of the same error motion. The other terms of a cantilever are divided by
+out, since they belong to the Legendre series of the same error motion. The series represents them if its order is at
+least their degree, at most 3 for a cantilever, 4 for a supported and 6 for a clamped beam (`own_axis_degrees`); of a
+series of a lower order the rest is lost. The other terms of a cantilever are divided by
 powers of the position along the beam, and each power has a parameter of its own: joints at the foot and the true height
 of the foot change the ratios of the powers. The polynomial of a beam on two supports stays whole. At last, a parameter
 whose deviation the error motions of the model can represent up to a rigid motion of the workspace is redundant; it is
@@ -32,7 +34,15 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.errors import ModelError
-from twin.machine.axis_polynomial import AxisPolynomial
+from twin.machine.axis_polynomial import (
+    AxisPolynomial,
+    PolynomialVector,
+    constant_vector,
+    polynomial_vector,
+    unit_vector,
+    vector_product,
+    vector_sum,
+)
 from twin.machine.beam_flexibility import Ends, beam_flexibility
 from twin.machine.cross_term import COLUMN_AND_RAM, CROSS, CrossTerm
 from twin.machine.deviation_basis import deviation_basis
@@ -43,9 +53,8 @@ from twin.machine.rigid_motion import rigid_fields
 GRAVITY_N_PER_KG = 9.80665
 
 Triple = tuple[float, float, float]
-Vector = tuple[AxisPolynomial, AxisPolynomial, AxisPolynomial]
 
-_ZERO, _ONE = AxisPolynomial(), AxisPolynomial.constant(1.0)
+_ZERO = AxisPolynomial()
 _REDUNDANT = 1e-7  # share of a term's deviation that the model lacks: below it, only rounding
 _POINTS = 500
 _TOOL_SHARE = np.array([0.31, -0.43, 0.23])  # tool offset in ranges: no lever arm is zero or equal to another
@@ -151,6 +160,18 @@ def derive_terms(beams: Sequence[StructuralBeam], model: ErrorModel) -> tuple[De
                 total = None if known.expected is None or expected is None else known.expected + expected
                 found[key] = replace(known, beams=(*known.beams, beam.name), expected=total)
     return _marked_redundant(tuple(found.values()), model)
+
+
+def own_axis_degrees(beams: Sequence[StructuralBeam], model: ErrorModel) -> dict[str, int]:
+    """Return, for each error motion that beams cause, the highest power of the axis of the beam alone. The Legendre
+    series of the error motion represents these terms if its order is at least this high. The beams suit the machine."""
+    degrees: dict[str, int] = {}
+    for beam in beams:
+        axis = AXES.index(beam.axis)
+        for part in (part for load in beam.loads for part in _parts(beam, load, model.chain, model.ranges_mm)):
+            alone = [powers[axis] for powers, _ in part.polynomial.terms if powers[axis] == sum(powers)]
+            degrees[part.error] = max(degrees.get(part.error, 0), *alone, 0)
+    return degrees
 
 
 def _check(beam: StructuralBeam, chain: Chain, ranges_mm: Ranges) -> None:
@@ -272,14 +293,18 @@ def _parts(beam: StructuralBeam, load: BeamLoad, chain: Chain, ranges_mm: Ranges
     )
     for displacement, rotation, stiffness, cause in kinds:
         size = None if weight is None or stiffness is None else sense * weight / stiffness
-        at_carriage, about = _of_carriage(beam, _vector(displacement), _vector(rotation), chain, ranges_mm)
-        at_reference = _sum(at_carriage, _cross(about, _fixed(beam.reference_mm)))
+        at_carriage, about = _of_carriage(
+            beam, polynomial_vector(displacement), polynomial_vector(rotation), chain, ranges_mm
+        )
+        at_reference = vector_sum(at_carriage, vector_product(about, constant_vector(beam.reference_mm)))
         for direction, polynomial in zip(DIRECTIONS, (*at_reference, *about), strict=True):
             if polynomial.terms:
                 yield _Part(f"E{direction}{beam.axis}", polynomial, size, cause)
 
 
-def _load_on_beam(beam: StructuralBeam, load: BeamLoad, chain: Chain, ranges_mm: Ranges) -> tuple[Vector, Vector]:
+def _load_on_beam(
+    beam: StructuralBeam, load: BeamLoad, chain: Chain, ranges_mm: Ranges
+) -> tuple[PolynomialVector, PolynomialVector]:
     """Return force and moment on the beam by 1 N of the load's weight."""
     carried = _carried(chain, beam.axis)
     moving = carried[: carried.index(load.carried_by) + 1] if load.carried_by in carried else ()
@@ -289,8 +314,8 @@ def _load_on_beam(beam: StructuralBeam, load: BeamLoad, chain: Chain, ranges_mm:
         axis = AXES.index(letter)
         low, high = ranges_mm[axis]
         arm[axis] += AxisPolynomial.linear(axis, 0.0, sense * (high - low))
-    force = _fixed((0.0, 0.0, -1.0))
-    moment = _cross(_vector(arm), force)
+    force = constant_vector((0.0, 0.0, -1.0))
+    moment = vector_product(polynomial_vector(arm), force)
     bridge = beam.crossbeam
     if bridge is None:
         return force, moment
@@ -298,20 +323,20 @@ def _load_on_beam(beam: StructuralBeam, load: BeamLoad, chain: Chain, ranges_mm:
     # P = share F + m × M / D with the moment M of the weight about the carriage at the lower end of its range, and the
     # share of the torque about m at the place of the load.
     across = AXES.index(bridge.axis)
-    direction = _unit(across)
+    direction = unit_vector(across)
     at_low = AxisPolynomial.constant(ranges_mm[across][0])
     length = sense * (bridge.other_mm - bridge.here_mm)
     shared = tuple(bridge.share(at_low) * part for part in force)
-    by_moment = tuple(part * (1.0 / length) for part in _cross(direction, moment))
+    by_moment = tuple(part * (1.0 / length) for part in vector_product(direction, moment))
     place = at_low + arm[across] * sense
     torque = [_ZERO] * 3
     torque[across] = bridge.share(place) * moment[across]
-    return _sum(_vector(shared), _vector(by_moment)), _vector(torque)
+    return vector_sum(polynomial_vector(shared), polynomial_vector(by_moment)), polynomial_vector(torque)
 
 
 def _of_carriage(
-    beam: StructuralBeam, moved: Vector, turned: Vector, chain: Chain, ranges_mm: Ranges
-) -> tuple[Vector, Vector]:
+    beam: StructuralBeam, moved: PolynomialVector, turned: PolynomialVector, chain: Chain, ranges_mm: Ranges
+) -> tuple[PolynomialVector, PolynomialVector]:
     """Return the error motions of the beam's axis: displacement and rotation of its carriage. With a crossbeam, one end
     of which follows the beam, they are the displacement of the crossbeam where its carriage stands at the lower end of
     the range, since the lever arm of the rotation contains the travel from there, and the rotation at the carriage."""
@@ -325,10 +350,12 @@ def _of_carriage(
     sense = 1.0 if beam.axis in chain.tool_side else -1.0
     length = sense * (bridge.other_mm - bridge.here_mm)
     # a crossbeam that is displaced by u at this end only has the slope -u / D along its direction m: rotation m × -u/D
-    slope = _vector([_ZERO if axis == across else part * (-1.0 / length) for axis, part in enumerate(moved)])
-    rotation = list(_cross(_unit(across), slope))
+    slope = polynomial_vector([_ZERO if axis == across else part * (-1.0 / length) for axis, part in enumerate(moved)])
+    rotation = list(vector_product(unit_vector(across), slope))
     rotation[across] = at_carriage * turned[across]
-    return _vector([_ZERO if axis == across else at_low * part for axis, part in enumerate(moved)]), _vector(rotation)
+    return polynomial_vector(
+        [_ZERO if axis == across else at_low * part for axis, part in enumerate(moved)]
+    ), polynomial_vector(rotation)
 
 
 def _marked_redundant(terms: Sequence[DerivedTerm], model: ErrorModel) -> tuple[DerivedTerm, ...]:
@@ -367,25 +394,3 @@ def _orthonormal(columns: Array) -> Array:
     left, sizes, _ = np.linalg.svd(scaled, full_matrices=False)
     used: Array = left[:, sizes > 1e-10 * sizes[0]]
     return used
-
-
-def _vector(parts: Sequence[AxisPolynomial]) -> Vector:
-    x, y, z = parts
-    return x, y, z
-
-
-def _fixed(values: Triple) -> Vector:
-    return _vector([AxisPolynomial.constant(value) for value in values])
-
-
-def _unit(axis: int) -> Vector:
-    return _vector([_ONE if axis == other else _ZERO for other in range(3)])
-
-
-def _sum(one: Vector, two: Vector) -> Vector:
-    return _vector([a + b for a, b in zip(one, two, strict=True)])
-
-
-def _cross(one: Vector, two: Vector) -> Vector:
-    (a, b, c), (d, e, f) = one, two
-    return _vector([b * f + c * e * -1.0, c * d + a * f * -1.0, a * e + b * d * -1.0])

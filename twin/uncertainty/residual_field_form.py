@@ -7,7 +7,8 @@ once for each combination of model, assumptions about the true machines, and too
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -16,6 +17,8 @@ from numpy.typing import ArrayLike
 
 from twin.arrays import Array, as_points
 from twin.errors import ModelError
+from twin.machine.axis_polynomial import AxisPolynomial
+from twin.machine.cross_term import CrossTerm
 from twin.machine.deflection import DeflectionGrid
 from twin.machine.error_model import CROSS_TERMS, ERROR_MOTIONS, ErrorModel
 from twin.machine.forward_model import deviation_basis
@@ -150,6 +153,8 @@ class FieldForm:
 def joint_model(one: ErrorModel, other: ErrorModel) -> ErrorModel:
     """Return the smallest model that has all parameters of the models `one` and `other`.
 
+    A term of a beam of `other` that has the name of another term of `one` gets a name of its own, CROSS[… (other)].
+
     Raises ModelError if the models differ in kinematic chain or axis ranges.
     """
     if one.chain != other.chain or one.ranges_mm != other.ranges_mm:
@@ -160,8 +165,19 @@ def joint_model(one: ErrorModel, other: ErrorModel) -> ErrorModel:
     # Series of different orders are nested, so the larger order contains the parameters of both.
     orders = {error: max(one.orders[error], other.orders[error]) for error in ERROR_MOTIONS}
     terms = tuple(term for term in CROSS_TERMS if term in one.cross_effect or term in other.cross_effect)
-    structure = tuple(dict.fromkeys((*one.structure, *other.structure)))
-    return ErrorModel(one.chain, one.ranges_mm, orders, terms, structure)
+    return ErrorModel(one.chain, one.ranges_mm, orders, terms, _joint_structure(one.structure, other.structure))
+
+
+def _joint_structure(one: Sequence[CrossTerm], other: Sequence[CrossTerm]) -> tuple[CrossTerm, ...]:
+    shapes, names = {_shape(term) for term in one}, {term.name for term in one}
+    added = (term for term in other if _shape(term) not in shapes)
+    # the names of beams, loads and powers contain neither blanks nor brackets, so the new name is unique
+    renamed = (replace(t, name=f"{t.name[:-1]} (other)]") if t.name in names else t for t in added)
+    return (*one, *renamed)
+
+
+def _shape(term: CrossTerm) -> tuple[str, AxisPolynomial]:
+    return term.error, term.polynomial
 
 
 def clamped_deflection(deflection: DeflectionGrid, axis_positions: Array) -> Array:
@@ -174,4 +190,8 @@ def clamped_deflection(deflection: DeflectionGrid, axis_positions: Array) -> Arr
 
 
 def _indices(part: ErrorModel, whole: ErrorModel) -> IndexArray:
-    return np.array([whole.index(name) for name in part.names], dtype=np.int64)
+    """Return the index in the joint model `whole` of each parameter of `part`. Terms of beams are found by what they
+    are, since their names may differ."""
+    names = {_shape(term): term.name for term in whole.structure}
+    own = {term.name: names[_shape(term)] for term in part.structure}
+    return np.array([whole.index(own.get(name, name)) for name in part.names], dtype=np.int64)

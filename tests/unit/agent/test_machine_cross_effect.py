@@ -42,6 +42,32 @@ def test_beams_of_a_machine_file(tmp_path: Path) -> None:
     assert "Not identified: terms that the error motions" in printed
 
 
+BRIDGE = """
+[[beams]]
+name = "bridge"
+axis = "Y"
+ends = "clamped"
+supports_mm = [-200.0, 2200.0]
+
+[[beams.loads]]
+name = "saddle"
+carried_by = "Z"
+centre_mm = [0.0, 0.0, -100.0]
+"""
+
+
+def test_an_order_that_is_too_low_for_the_sag(tmp_path: Path) -> None:
+    """A clamped beam sags by s³b³: degree 6, but the machine file has the order 5 for all error motions."""
+    bridge = (ROOT / "config" / "machines" / "bridge.toml").read_text(encoding="utf-8")
+    text = "\n".join(line for line in bridge.splitlines() if not line.startswith("cross_effect")) + BRIDGE
+    for order, warned in (("order = 5", True), ("order = { EZY = 6 }", False)):
+        (tmp_path / "bridge.toml").write_text(text.replace("order = 5", order), encoding="utf-8")
+        result = volcal("config", "machine", "--case", "bridge", "--machine", tmp_path / "bridge.toml")
+        assert result.stdout == "bridge: no cross-effect\n"
+        assert ("warning: EZY has the order 5, but its beams need the order 6" in result.stderr) is warned
+        assert result.stderr.count("\n") == warned
+
+
 def test_machines_without_beams() -> None:
     rows = cells(volcal("config", "machine", "--case", "case-study").stdout)
     assert rows["CROSS[b2]"] == ["", "EYZ", "y z²", "", "4.5", "µm"]

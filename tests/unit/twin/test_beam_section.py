@@ -12,7 +12,9 @@ from twin.errors import FormatError, ModelError
 from twin.formats.machine_file import parse_machine
 from twin.machine.axis_polynomial import AxisPolynomial
 from twin.machine.cross_term import CrossTerm
-from twin.uncertainty.residual_field_form import joint_model
+from twin.machine.machine_population import family_from_amplitudes
+from twin.uncertainty.residual_field_form import FieldForm, joint_model
+from twin.uncertainty.truth_assumptions import TruthAssumptions
 
 ROOT = Path(__file__).parents[3]
 MACHINES = ROOT / "config" / "machines"
@@ -47,6 +49,27 @@ def test_without_a_mass_or_a_stiffness_the_family_of_the_kind_applies():
         machine = parse(TEXT.replace(missing, ""))
         assert all(one.expected is None for one in machine.derived_terms)
         assert machine.family.half_widths[machine.model.index("CROSS[b2]")] == pytest.approx(4.5e-3)
+
+
+def test_a_half_width_of_zero_does_not_silently_hold_a_parameter_at_zero():
+    """Machine files that `volcal init` writes for machines without a ram contain zeros."""
+    zero = TEXT.replace("cross_displacement_um = 4.5", "cross_displacement_um = 0.0")
+    zero = zero.replace("cross_rotation_urad = 3.0", "cross_rotation_urad = 0.0")
+    assert zero.count(" = 0.0\n") == 2
+    assert (parse(zero).family.half_widths[-3:] > 0.0).all()  # masses and stiffnesses are stated
+    unknown = zero.replace("mass_kg = 1500.0\n", "")
+    with pytest.raises(FormatError, match=r"the half-width of CROSS\[b1\] is 0, so this effect") as caught:
+        parse(unknown)
+    assert caught.value.where == {"file": "m.toml", "key": "model.family.cross_displacement_um", "beam": "column"}
+    assert "masses and stiffnesses" in caught.value.hint
+    with pytest.raises(FormatError, match=r"CROSS\[c1\]") as caught:
+        parse(unknown.replace("cross_displacement_um = 0.0", "cross_displacement_um = 4.5"))
+    assert caught.value.where["key"] == "model.family.cross_rotation_urad"
+
+
+def test_the_beams_are_part_of_the_description():
+    assert [beam.name for beam in parse(TEXT).beams] == ["column"]
+    assert parse(PLAIN).beams == ()
 
 
 @pytest.mark.parametrize(
@@ -98,6 +121,22 @@ def test_a_joint_model_contains_the_terms_of_both():
     joint = joint_model(replace(plain, structure=(TERM,)), replace(plain, structure=(TERM, other)))
     assert joint.structure == (TERM, other)
     assert joint.names[-2:] == ("CROSS[rail.EZX]", "CROSS[rail.EXX]")
+
+
+def test_a_joint_model_tells_terms_of_the_same_name_apart():
+    """The true machines have a longer rail than the model: the same names, but other polynomials."""
+    plain = parse(PLAIN)
+    longer = replace(TERM, polynomial=AxisPolynomial.of([((1, 1, 0), 0.5), ((2, 1, 0), -0.3)]))
+    other = replace(TERM, name="CROSS[rail.EXX]", error="EXX")
+    model = replace(plain.model, structure=(TERM, other))
+    truth = family_from_amplitudes(replace(plain.model, structure=(other, longer)), plain.amplitudes)
+    joint = joint_model(model, truth.model)
+    assert joint.names[-3:] == ("CROSS[rail.EZX]", "CROSS[rail.EXX]", "CROSS[rail.EZX (other)]")
+    grid = [[x, y, 100.0] for x in (0.0, 900.0, 2000.0) for y in (50.0, 700.0)]
+    form = FieldForm.build(model, TruthAssumptions(truth), grid, np.zeros(3))
+    assert form.model_indices[-2:].tolist() == [form.size - 3, form.size - 2]
+    assert form.true_indices[-2:].tolist() == [form.size - 2, form.size - 1]
+    assert form.unmodelled[-2:].tolist() == [False, True]
 
 
 @pytest.mark.parametrize(

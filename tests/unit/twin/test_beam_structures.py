@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from functools import cache
 
@@ -21,7 +22,7 @@ from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import exact_deviation, linear_deviation
 from twin.machine.kinematic_chain import parse_chain
 from twin.machine.machine_population import family_from_amplitudes
-from twin.machine.structure import BeamLoad, Crossbeam, DerivedTerm, StructuralBeam, derive_terms
+from twin.machine.structure import BeamLoad, Crossbeam, DerivedTerm, StructuralBeam, derive_terms, own_axis_degrees
 from twin.machine.volumetric import align_rigidly, evaluation_grid, rms
 
 COLUMN_MACHINE = ErrorModel.uniform(parse_chain("tool-Y-Z-X-bed-workpiece"), RANGES, 5, ())
@@ -315,3 +316,44 @@ def test_polynomials_by_hand():
     assert largest == -4.0
     assert shape.at([np.ones(1)] * 3) == pytest.approx(1.0)
     assert AxisPolynomial.of([((1, 0, 0), 0.1), ((1, 0, 0), 0.2), ((1, 0, 0), -0.3)]) == AxisPolynomial()
+
+
+def test_no_value_within_the_ranges_exceeds_that_of_the_normalised_polynomial():
+    """EBX of the gantry is s b (b - s) in x, largest at 0.5 ± √3/6 of the length of its rails."""
+    polynomials = [one.term.polynomial for one in derive_terms(portal_beams(), PORTAL_MACHINE)]
+    clamped = [replace(beam, ends="clamped") for beam in portal_beams()]
+    polynomials += [one.term.polynomial for one in derive_terms(clamped, PORTAL_MACHINE)]
+    x, y = (part.ravel() for part in np.meshgrid(np.linspace(0.0, 1.0, 1501), np.linspace(0.0, 1.0, 41)))
+    largest = [np.abs(polynomial.at([x, y, 0.0 * x])).max() for polynomial in polynomials]
+    assert len(largest) >= 6
+    np.testing.assert_allclose(largest, 1.0, rtol=0.0, atol=2e-6)
+    assert max(largest) < 1.0 + 1e-9
+
+
+def test_the_sign_of_an_antisymmetric_polynomial_does_not_depend_on_rounding():
+    # x (1 - x) (1 - 2 x) is ± √3/18 at 0.5 ± √3/6
+    for tiny in (-1e-13, 0.0, 1e-13):
+        shape, largest = AxisPolynomial.of([((1, 1, 0), 1.0), ((2, 1, 0), -3.0), ((3, 1, 0), 2.0 + tiny)]).normalised()
+        assert largest == pytest.approx(np.sqrt(3.0) / 18.0, rel=1e-9)
+        assert shape.at([np.array([0.5 - np.sqrt(3.0) / 6.0]), np.ones(1), np.zeros(1)]) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("ends", "displacement", "by_moment"), [("supported", 4, 3), ("clamped", 6, 5)])
+def test_the_degree_in_the_axis_of_the_beam_alone(ends, displacement, by_moment):
+    """The deflection under a force that moves is s²b², or s³b³ of a clamped beam, and the slope its half derivative."""
+    degrees = own_axis_degrees([replace(beam, ends=ends) for beam in portal_beams()], PORTAL_MACHINE)
+    assert (degrees["EZX"], degrees["EAX"], degrees["EBX"]) == (displacement, displacement, by_moment)
+    # the ram of the column is at the lower end of Y 300 mm in front of the column: u = M h² / 2EI
+    assert own_axis_degrees([COLUMN], COLUMN_MACHINE) == {"EYZ": 2, "EAZ": 1}
+
+
+def test_an_estimate_without_other_beams_and_instruments_is_stored_as_before():
+    """A run that is resumed after an update compares its estimate with the one that it stored before."""
+    artefact = bar(4)
+    seen = measured("S3", 1, artefact, portal_truth, np.random.default_rng(6), sigma_mm=5e-4)
+    model = ErrorModel.uniform(parse_chain("tool-Z-Y-X-bed-workpiece"), RANGES, 2, ())
+    text = format_estimate(identify(model, seen, artefact, family_from_amplitudes(model, AMPLITUDES)), {})
+    document = json.loads(text)
+    assert "instruments" not in document
+    assert set(document["model"]) == {"chain", "ranges_mm", "orders", "cross_effect"}
+    assert parse_estimate(text, "estimate.json").instruments == ()

@@ -64,12 +64,13 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     if identified is None:
         hint = "Give it with --estimate, or the folder of the run with --table"
         raise DataError("this format contains error motions, so it needs the estimate", hint=hint)
-    records = 1 + sum(len(nodes) for nodes in table.nodes) + len(table.y) * len(table.z)
     if identified.model.structure:
+        name = identified.model.structure[0].name
         raise DataError(
-            f"this format contains no cross-effect such as {identified.model.structure[0].name}",
+            f"this format contains only the cross-effect of column and ram, not {name}",
             hint="Choose a format that contains the table itself, such as neutral",
         )
+    records = 1 + sum(len(nodes) for nodes in table.nodes) + len(table.y) * len(table.z)
     if records > MOST_RECORDS:
         raise DataError(f"{records} records are more than {MOST_RECORDS}", hint="Thin the grid with --points")
     motions = _rounded(_without_rigid_motion(_motions(identified, table), source))
