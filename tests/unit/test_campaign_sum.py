@@ -148,7 +148,7 @@ ROWS = [
 
 
 def test_the_figures_of_an_endurance_trial_are_those_of_its_worst_part() -> None:
-    worse = [{**row, "memory_mb": row["memory_mb"] * 3, "cpu_s": row["cpu_s"] * 2} for row in ROWS[:12]]  # type: ignore[operator]
+    worse = [{**row, "memory_mb": row["memory_mb"] * 3, "cpu_s": row["cpu_s"] * 2} for row in ROWS[:12]]
     parts = [endurance.verdict(ROWS, 18, [], 0, 0), endurance.verdict(worse, 8, ["r"], -9, 2)]
     total = campaign_sum.summed([{**part, "wall_seconds": 1.5} for part in parts])
     assert [part["passed"] for part in (*parts, total)] == [True, False, False]
