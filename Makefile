@@ -79,7 +79,8 @@ plans: setup
 	$(BIN)/python -m campaigns.plans --count $(COUNT) --seed $(SEED) --workers 2
 
 # Mutated inputs for every decoder; SECONDS bounds each decoder in s of wall time. `python -m campaigns.sum FILE...` sums the
-# outputs of calls with different seeds, and so it does those of the other long campaigns with a seed or FIRST.
+# outputs of calls with different seeds, and so it does those of plans and crash-points with different seeds, of faults and
+# requests with different seeds or FIRST, and of endurance.
 SECONDS ?= 10
 fuzz: setup
 	$(BIN)/python -m campaigns.fuzz 1000000 $(SEED) $(SECONDS) --workers 2
@@ -123,7 +124,8 @@ grbl: setup
 	$(BIN)/python -m campaigns.grbl --events $(EVENTS)
 
 # Short calibrations, each with one or two faults of the controller, the cell, the computer or the wire at random instants;
-# unfinished runs are resumed. Three hours of CPU time, in parts with FIRST; ends with one line of JSON.
+# unfinished runs are resumed. Three hours of CPU time, in parts with FIRST and COUNT, multiples of 50; ends with one line
+# of JSON.
 FIRST ?= 0
 faults: setup
 	$(BIN)/python -m campaigns.faults --first $(FIRST) --count $(COUNT) --seed $(SEED) --workers 2

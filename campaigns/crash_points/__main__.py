@@ -43,7 +43,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # must be set before numpy i
 from benchmarks.places import memory_directory
 from campaigns.crash_points.crash_recorder import PointSelection
 from campaigns.crash_points.killed_runs import ACCEPTED, RUNS, play_run
-from campaigns.crash_points.process_kills import ProcessKill, play_processes
+from campaigns.crash_points.process_kills import ProcessKill, ProcessKills, play_processes
 from campaigns.crash_points.process_kills import violations as process_violations
 from campaigns.faults.night_record import INVARIANTS, NightRecord, violations
 
@@ -99,7 +99,11 @@ def kill_processes(seed: int, kills: int, minutes: float) -> dict[str, Any]:
         print(json.dumps(asdict(kill)), flush=True)
 
     with memory_directory("crash-processes") as name:
-        found = play_processes(Path(name), seed, kills, minutes, notice)
+        return summarise_processes(play_processes(Path(name), seed, kills, minutes, notice))
+
+
+def summarise_processes(found: ProcessKills) -> dict[str, Any]:
+    """Return the totals of kills of processes."""
     violated = process_violations(found.kills)
     kinds = Counter(f"{one.victim}, {one.point.split(':')[0]}" for one in found.kills)
     return {

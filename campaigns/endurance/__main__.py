@@ -85,14 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     plant.switch_off()
     if given.csv is not None:
         write_csv(rows, given.csv)
-    result = judged(rows) | {
-        "compacted": len(compacted),
-        "lost": lost,
-        "exit_code": ended,
-        "collisions": plant.collisions,
-    }
-    tidy = len(compacted) >= len(rows) - WHOLE_RUNS - MOST_WAITING
-    result["passed"] = result["passed"] and tidy and not lost and ended == 0 and plant.collisions == 0
+    result = verdict(rows, len(compacted), lost, ended, plant.collisions)
     print(json.dumps(result | {"wall_seconds": round(perf_counter() - began, 1)}, allow_nan=False))
     return 0 if result["passed"] else 1
 
@@ -126,6 +119,21 @@ def _is_whole(state: Path, row: RunRow) -> bool:
     report_of(read_record(state, row.run_id))
     has_table = row.kind != "calibrate" or (folder / "table.csv").is_file()
     return report.rstrip().endswith("</html>") and has_table
+
+
+def verdict(rows: Sequence[Row], compacted: int, lost: Sequence[str], exit_code: int, collisions: int) -> Row:
+    """Return the growth per run and what the service has left: the number of compacted runs, those of them that have
+    lost their report or table, its exit code and the number of collisions; and whether all is as it should be."""
+    grown = judged(rows)
+    tidy = compacted >= len(rows) - WHOLE_RUNS - MOST_WAITING
+    return {
+        **grown,
+        "passed": grown["passed"] and tidy and not lost and exit_code == 0 and collisions == 0,
+        "compacted": compacted,
+        "lost": list(lost),
+        "exit_code": exit_code,
+        "collisions": collisions,
+    }
 
 
 def judged(rows: Sequence[Row]) -> Row:

@@ -12,9 +12,10 @@ run ends because of the first one, or in the resumed run. In the morning the fau
 again, or its run is resumed, or given up; a resumed run is judged as the night was.
 
 A night that violates an invariant is printed, one JSON object a line, with its seed and number; `--only NIGHT` plays it
-again in this process and prints its whole record. `--first` goes on with the nights of a seed after earlier calls;
-`python -m campaigns.sum` sums their output. `--known` plays the nights that have once found a defect. The exit code is
-0 only if no invariant is violated and at least 85 % of the nights have reached their fault.
+again in this process and prints its whole record. `--first`, a multiple of 50, goes on with the nights of a seed after
+earlier calls; `python -m campaigns.sum` sums their output. `--count` is a multiple of 50, too, or less than 50.
+`--known` plays the nights that have once found a defect. The exit code is 0 only if no invariant is violated and at
+least 85 % of the nights have reached their fault.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ REACHED_SHARE = 0.85
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--count", type=int, default=10000, help="number of nights")
+    parser.add_argument("--count", type=int, default=10000, help="number of nights, a multiple of 50 or less than 50")
     parser.add_argument("--first", type=int, default=0, help="number of the first night, a multiple of 50")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=2, help="number of processes")
@@ -67,8 +68,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen.add_argument("--only", type=int, metavar="NIGHT", help="play this night alone, in this process")
     chosen.add_argument("--known", action="store_true", help="play the nights that have once found a defect")
     given = parser.parse_args(arguments)
-    if given.first % NIGHTS_PER_MACHINE:
+    if given.first < 0 or given.first % NIGHTS_PER_MACHINE:
         parser.error(f"--first must be a multiple of {NIGHTS_PER_MACHINE}: so many nights have one machine")
+    if given.count < 1 or (given.count > NIGHTS_PER_MACHINE and given.count % NIGHTS_PER_MACHINE):
+        parser.error(f"--count must be a multiple of {NIGHTS_PER_MACHINE} or less: so many nights have one machine")
     began = perf_counter()
     records: list[NightRecord] = []
     cpu_s = 0.0
@@ -94,9 +97,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
                     flush=True,
                 )
     result = summarise(records)
+    if not alone:  # nights that are played again are not a part of their seed
+        result |= {"seed": given.seed, "first": given.first}
     result |= {
-        "seed": given.seed,
-        "first": given.first,
         "machines_refused": refused,
         "cpu_s": round(cpu_s, 1),
         "wall_seconds": round(perf_counter() - began, 1),

@@ -39,31 +39,37 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--only", default="", metavar="TEXT", help="part of the names of the decoders to try")
     given = parser.parse_args(arguments)
     began = perf_counter()
-    results: dict[str, dict[str, Any]] = {}
+    results: list[tuple[TrialResult, list[str]]] = []
     for found, wrong in _found(TrialExtent(given.count, given.seed, given.seconds), given.only, given.workers):
-        results[found.name] = {
-            "read": found.read,
-            "refused": found.refused,
-            "cpu_s": round(found.cpu_s, 3),
-            "slowest_cpu_s": round(found.slowest_s, 4),
-            "grown_kib": found.grown_bytes // 1024,
-            "failures": wrong,
-        }
+        results.append((found, wrong))
         tries = found.read + found.refused + len(found.failures)
         print(
             f"{found.name:36} {found.read:7} read {found.refused:7} refused {len(wrong):5} wrong"
             f" {1e6 * found.cpu_s / max(tries, 1):9.1f} µs each {found.slowest_s:8.3f} s slowest",
             flush=True,
         )
-    result = {
-        "passed": bool(results) and not any(found["failures"] for found in results.values()),
-        "inputs": sum(found["read"] + found["refused"] for found in results.values()),
-        "decoders": results,
-        "seed": given.seed,
-        "wall_seconds": round(perf_counter() - began, 1),
-    }
+    result = summarise(results) | {"seed": given.seed, "wall_seconds": round(perf_counter() - began, 1)}
     print(json.dumps(result, allow_nan=False))
     return 0 if result["passed"] else 1
+
+
+def summarise(results: Sequence[tuple[TrialResult, Sequence[str]]]) -> dict[str, Any]:
+    """Return the numbers of all decoders from what each did with its inputs and what is wrong with it."""
+    return {
+        "passed": bool(results) and not any(wrong for _, wrong in results),
+        "inputs": sum(found.read + found.refused for found, _ in results),
+        "decoders": {
+            found.name: {
+                "read": found.read,
+                "refused": found.refused,
+                "cpu_s": round(found.cpu_s, 3),
+                "slowest_cpu_s": round(found.slowest_s, 4),
+                "grown_kib": found.grown_bytes // 1024,
+                "failures": list(wrong),
+            }
+            for found, wrong in results
+        },
+    }
 
 
 def _found(extent: TrialExtent, only: str, workers: int) -> Iterator[tuple[TrialResult, list[str]]]:

@@ -70,15 +70,19 @@ class Hang(BaseException):
 
 
 def tried(decoder: Decoder, count: int, seed: int, seconds: float = inf) -> TrialResult:
-    """Give `count` mutated inputs to the decoder, or as many as it takes in `seconds` s of wall time, after its seeds,
-    which it must read."""
+    """Give `count` mutated inputs to the decoder, or as many as it takes in `seconds` s of wall time, after its seeds.
+    A seed that it does not read is a failure, like an error outside the tree."""
     ends_s = monotonic() + seconds
     result, random = TrialResult(decoder.name), Random(f"{decoder.name} {seed}")  # noqa: S311  no secret
-    for good in decoder.seeds:
-        decoder.decode(good)
-    settled = resident_bytes()
     allowed = decoder.allowed
     with hang_detection() as time_limit:
+        for number, good in enumerate(decoder.seeds):
+            try:
+                time_limit(BOUND_S)
+                decoder.decode(good)
+            except (Exception, Hang) as error:  # noqa: BLE001  the other decoders are tried nevertheless
+                result.failures.append(_told(f"seed {number}", error, good))
+        settled = resident_bytes()
         for number in range(count):
             if monotonic() > ends_s:
                 break
@@ -92,9 +96,7 @@ def tried(decoder: Decoder, count: int, seed: int, seconds: float = inf) -> Tria
             except allowed:
                 result.refused += 1
             except (Exception, Hang) as error:  # noqa: BLE001  whatever it is, it is the finding
-                place = traceback.extract_tb(error.__traceback__)[-1]
-                told = f"input {number}: {type(error).__name__}: {str(error)[:120]} at {place.filename}:{place.lineno}"
-                result.failures.append(f"{told}; {data[:200]!r}")
+                result.failures.append(_told(f"input {number}", error, data))
             else:
                 result.read += 1
             taken_s = process_time() - began_s
@@ -103,6 +105,13 @@ def tried(decoder: Decoder, count: int, seed: int, seconds: float = inf) -> Tria
                 result.slowest_s, result.slowest = taken_s, f"input {number}: {data[:200]!r}"
     result.grown_bytes = resident_bytes() - settled
     return result
+
+
+def _told(name: str, error: BaseException, data: bytes) -> str:
+    """Return the failure of the input `name` in words: the error, its place, and the beginning of the input."""
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    what = f"{type(error).__name__}: {str(error)[:120]}"
+    return f"{name}: {what} at {place.filename}:{place.lineno}; {data[:200]!r}"
 
 
 def excesses(decoder: Decoder, found: TrialResult) -> Iterator[str]:

@@ -48,34 +48,42 @@ def main(arguments: Sequence[str] | None = None) -> int:
     seeds = [given.seed * SEED_STRIDE + number for number in range(given.first, given.first + given.count)]
     trials, compared = _all(seeds, given.judge_every, given.workers)
     wall_s = perf_counter() - began
-    result = {
-        **summarise(trials),
-        "judge_compared": compared.moves,
-        "judge_collisions": compared.collisions,
-        "judge_disagrees": list(compared.disagreed),
+    result = judged(trials, compared) | {
         "seed": given.seed,
         "first": given.first,
         "wall_seconds": round(wall_s, 1),
         "plans_per_second": round(len(trials) / wall_s, 2),
     }
-    failed = result["failed_seeds"] or compared.disagreed
-    print(json.dumps({"passed": not failed, **result}, allow_nan=False))
-    return 1 if failed else 0
+    print(json.dumps(result, allow_nan=False))
+    return 0 if result["passed"] else 1
+
+
+def judged(trials: Sequence[PlanTrial], compared: JudgeComparison) -> dict[str, object]:
+    """Return the totals of the trials and of the comparison of the collision check with the simulator, and whether
+    nothing was wrong."""
+    totals = summarise(trials)
+    return {
+        "passed": not totals["failed_seeds"] and not compared.disagreed,
+        **totals,
+        "judge_compared": compared.moves,
+        "judge_collisions": compared.collisions,
+        "judge_disagrees": list(compared.disagreed),
+    }
 
 
 def _all(seeds: Sequence[int], judge_every: int, workers: int) -> tuple[list[PlanTrial], JudgeComparison]:
     with ProcessPoolExecutor(workers) as pool:
-        judged = frozenset(seeds[::judge_every])
-        comparisons = pool.map(partial(compare_judge, moves=MOVES_A_CASE), sorted(judged), chunksize=4)
+        examined = frozenset(seeds[::judge_every])
+        comparisons = pool.map(partial(compare_judge, moves=MOVES_A_CASE), sorted(examined), chunksize=4)
         trials = []
-        for trial in pool.map(partial(_try_plan, judged=judged), seeds, chunksize=8):
+        for trial in pool.map(partial(_try_plan, examined=examined), seeds, chunksize=8):
             trials.append(trial)
             _report(trial, len(trials))
         return trials, JudgeComparison.sum(comparisons)
 
 
-def _try_plan(seed: int, judged: frozenset[int]) -> PlanTrial:
-    return try_plan(seed, judged=seed in judged)
+def _try_plan(seed: int, examined: frozenset[int]) -> PlanTrial:
+    return try_plan(seed, judged=seed in examined)
 
 
 def _report(trial: PlanTrial, count: int) -> None:

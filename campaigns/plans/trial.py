@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
@@ -170,7 +170,7 @@ def reason_of(error: VolcalError) -> str:
     return f"{type(error).__name__}: {words}"
 
 
-def summarise(trials: list[PlanTrial]) -> dict[str, object]:
+def summarise(trials: Sequence[PlanTrial]) -> dict[str, object]:
     accepted = [trial for trial in trials if not trial.refused]
     seen = [trial.seen for trial in trials if trial.seen is not None]
     return {

@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "acknowledged": result.acknowledged,
         "cuts": dict(result.cuts),
         "lost": len(result.lost),
-        "first": result.lost[:MAX_LISTED],
+        "listed": result.lost[:MAX_LISTED],
         "wall_seconds": round(perf_counter() - began, 1),
     }
     print(json.dumps(document, allow_nan=False))

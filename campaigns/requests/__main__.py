@@ -58,13 +58,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         count.add(played)
         trials += bool(played.steps)
         cpu_s += used_s
-    steps = count.steps.total()
-    missed = [name for name in REQUESTS if not count.accepted[name]]
-    passed = not count.violations and not (missed and steps >= LONG_FORM_STEPS) and steps > 0
-    result = {"passed": passed, "steps": steps, "trials": trials, "seed": given.seed, "first": given.first}
-    result |= {**summarise(count), "never_accepted": missed, "cpu_s": round(cpu_s, 1)}
+    result = summarise(count) | {"trials": trials, "seed": given.seed, "first": given.first, "cpu_s": round(cpu_s, 1)}
     print(json.dumps(result | {"wall_seconds": round(perf_counter() - began, 1)}))
-    return 0 if passed else 1
+    return 0 if result["passed"] else 1
 
 
 def _played(
@@ -82,12 +78,16 @@ def _played(
 
 
 def summarise(count: Count) -> dict[str, object]:
-    """Return the counts as a JSON object."""
+    """Return the counts as a JSON object, and whether no condition was violated and enough was accepted."""
+    steps = count.steps.total()
+    missed = [name for name in REQUESTS if not count.accepted[name]]
 
     def listed(counter: Counter[str]) -> dict[str, int]:
         return dict(sorted(counter.items()))
 
     return {
+        "passed": not count.violations and not (missed and steps >= LONG_FORM_STEPS) and steps > 0,
+        "steps": steps,
         "by_action": listed(count.steps),
         "accepted": {name: count.accepted[name] for name in REQUESTS},
         "refusals": listed(count.refusals),
@@ -95,6 +95,7 @@ def summarise(count: Count) -> dict[str, object]:
         "runs_by_end": listed(count.ends),
         "violations": len(count.violations),
         "violated": count.violations[:MAX_LISTED],
+        "never_accepted": missed,
     }
 
 

@@ -165,20 +165,29 @@ def cache_preflight() -> None:
 
 
 def cache_estimates() -> None:
-    """Cache the estimates of a trial on one machine by the measurements from which they are made: all runs that
-    measure the same have the same estimate, which is not what the trial is about.
+    """Cache the estimates of a trial by the measurements from which they are made and by what the estimate takes from
+    the job: all runs of one job that measure the same have the same estimate, which is not what the trial is about.
 
-    Forked copies of the process inherit the cached results. A further call begins with an empty cache.
+    An estimator whose result were not the same each time would therefore stay unseen in the trial. Forked copies of the
+    process inherit the cached results. A further call begins with an empty cache.
     """
     done: dict[bytes, EstimationResult] = {}
 
     def once(job: Job, observations: Observations, options: Options) -> EstimationResult:
-        measured = pickle.dumps((observations, options))
-        if measured not in done:
-            done[measured] = estimate_for_job(job, observations, options)
-        return done[measured]
+        key = pickle.dumps((_estimated_with(job), observations, options))
+        if key not in done:
+            done[key] = estimate_for_job(job, observations, options)
+        return done[key]
 
     agent.results.estimation.estimate_for_job = once
+
+
+def _estimated_with(job: Job) -> tuple[object, ...]:
+    """Return what an estimate depends on besides the measurements and the options: the machine, the artefact and some
+    sections of the settings. Two jobs with the same files in different directories have the same."""
+    settings = job.settings
+    sections = (settings.temperature, settings.table, settings.identification)
+    return (job.machine, job.artefact, settings.tool, *sections)
 
 
 @dataclass

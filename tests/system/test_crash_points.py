@@ -6,6 +6,7 @@ from campaign_command import run_campaign
 
 from campaigns.crash_points import process_kills
 from campaigns.faults.night_record import INVARIANTS
+from campaigns.sum import form_of
 
 
 def test_a_run_that_is_killed_anywhere_is_resumed_or_taken_back() -> None:
@@ -17,6 +18,7 @@ def test_a_run_that_is_killed_anywhere_is_resumed_or_taken_back() -> None:
     assert result["points"] > 5000
     assert result["kills"] >= 10
     assert result["resumed_and_accepted"] > 0
+    assert form_of(result).name == "crash_points"
 
 
 def test_a_service_and_a_machine_that_are_killed_lose_nothing_and_leave_no_unproved_table() -> None:

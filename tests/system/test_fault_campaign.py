@@ -12,7 +12,8 @@ from campaigns.faults.__main__ import summarise
 from campaigns.faults.fault_kinds import KINDS
 from campaigns.faults.night_record import INVARIANTS, NightRecord, violations
 from campaigns.faults.planned_night import LINKS, plan_night
-from campaigns.sum import summed
+from campaigns.sum import form_of
+from campaigns.sum_rules import NotSummableError
 
 NIGHTS = 50
 """Nights of one machine: every kind of fault in one process at least once, and every real link; 45 s of CPU time."""
@@ -169,15 +170,6 @@ def test_a_trial_whose_runs_end_before_their_fault_fails(missed: int, passed: bo
     assert (counted["reached"], counted["passed"]) == (20 - missed, passed)
 
 
-def test_nights_in_two_parts_are_those_in_one() -> None:
-    nights = [RESTORED, replace(PROVED, night=2), replace(RESTORED, night=3, reached=False)]
-    total = summed([summarise(nights[:1]), summarise(nights[1:])])
-    assert (total.pop("parts"), total.pop("passed")) == (2, False)  # half of the nights of a part missed their fault
-    together = summarise(nights)
-    del together["passed"]
-    assert total == together
-
-
 def test_nights_that_once_found_a_defect_end_as_they_must() -> None:
     """A controller that activates another bank: seen by the proof, by nobody, and in the morning. A thermometer that
     fails between the measurement and the proof: the run is resumed once it is in order."""
@@ -192,6 +184,8 @@ def test_nights_that_once_found_a_defect_end_as_they_must() -> None:
     assert (result["with_a_second_fault"], result["left_to_the_morning"]) == (1, 3)
     assert result["left_to_a_person"] == 3
     assert list(result["cannot_be_seen"].values()) == [1]
+    with pytest.raises(NotSummableError):  # these nights are no part of a seed
+        form_of(result)
 
 
 def test_all_kinds_of_fault_occur_and_a_night_is_drawn_the_same_again() -> None:
@@ -211,6 +205,7 @@ def test_nights_with_faults_end_as_they_must(machine: int) -> None:
     assert result["violations"] == dict.fromkeys(INVARIANTS, 0)
     assert result["passed"]
     assert result["nights"] == NIGHTS
+    assert form_of(result).name == "faults"
     assert {kind for kind, fault in KINDS.items() if not fault.link} < set(result["by_kind"])
     assert {KINDS[kind].link for kind in result["by_kind"]} == {"", *LINKS}
     assert result["accepted"] > 0

@@ -31,7 +31,7 @@ def strace(tmp_path: Path) -> None:
 
 def test_nothing_acknowledged_is_lost_by_a_power_cut() -> None:
     code, result = run_campaign("power_cuts", "--every", EVERY)
-    assert result["first"] == []
+    assert result["listed"] == []
     assert (code, result["passed"], result["lost"]) == (0, True, 0)
     assert result["acknowledged"] > 100
     assert min(result["cuts"].values()) > 100

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from campaign_command import run_campaign
 
+from campaigns.sum import form_of
+
 COUNT = 20
 
 
@@ -24,6 +26,7 @@ def test_random_plans_end_without_a_collision_and_most_are_accepted() -> None:
     assert result["judged_collisions"] == 0
     assert result["judge_collisions"] > 0, "the judge must have seen collisions to be believed"
     assert result["judge_disagrees"] == []
+    assert form_of(result).name == "plans"
 
 
 def test_one_plan_comes_again_by_its_seed() -> None:

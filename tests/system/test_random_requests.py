@@ -13,6 +13,7 @@ from agent.execution.states import RunState
 from agent.runs.run_kinds import KINDS
 from campaigns.aborts.case import FORMER_BANK
 from campaigns.requests.trial import Count, RequestTrial
+from campaigns.sum import form_of
 from drivers.roles import MotionState
 
 S = RunState
@@ -25,6 +26,7 @@ def test_random_requests_at_all_moments_of_real_runs() -> None:
     code, found = run_campaign("requests", "--steps", str(STEPS), "--seed", "1")
     assert (code, found["violated"]) == (0, [])
     assert found["steps"] == STEPS
+    assert form_of(found).name == "requests"
     assert sum(found["runs_by_end"].values()) > 2
     assert found["by_state"]["measuring"] > 10
     assert sum(count > 0 for count in found["accepted"].values()) > 6

@@ -17,6 +17,7 @@ from journaled import journaled
 from structlog.testing import capture_logs
 
 from agent.execution.journal_schema import FILE_NAME
+from campaigns.fuzz import __main__ as fuzz
 from campaigns.fuzz.catalogue import quick_decoders
 from campaigns.fuzz.device_decoders import device_decoders
 from campaigns.fuzz.file_decoders import file_decoders
@@ -25,6 +26,7 @@ from campaigns.fuzz.mutation import mutated
 from campaigns.fuzz.state_decoders import state_decoders
 from campaigns.fuzz.trial import LARGEST_GROWTH_BYTES, Decoder, excesses, tried
 from campaigns.fuzz.wire_decoders import SNAPSHOT, wire_decoders
+from drivers.errors import VolcalError
 
 COUNT, SEED = 60, 1
 
@@ -104,6 +106,27 @@ def test_what_is_wrong_is_found() -> None:
 
     assert len(tried(wrong(), 5, SEED).failures) == 5
     assert tried(wrong((KeyError,)), 5, SEED).refused == 5
+
+
+def test_a_decoder_that_refuses_its_own_seed_fails_alone(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also with an error of the tree: a good input must be read."""
+
+    def refuse(data: bytes) -> None:
+        raise VolcalError(f"not read: {len(data)}")
+
+    tried_ones = [Decoder("strict", [b"seed", b"other"], refuse), Decoder("good", [b"seed"], lambda _: None)]
+    monkeypatch.setattr("campaigns.fuzz.__main__.decoders", lambda: iter(tried_ones))
+    monkeypatch.setattr("campaigns.fuzz.__main__.be_quiet", lambda: None)
+    assert fuzz.main(["5"]) == 1
+    found = json.loads(capsys.readouterr().out.splitlines()[-1])["decoders"]
+    strict, good = found["strict"], found["good"]
+    assert [text.split(" at ")[0] for text in strict["failures"]] == [
+        "seed 0: VolcalError: not read: 4",
+        "seed 1: VolcalError: not read: 5",
+    ]
+    assert (strict["refused"], good["read"], good["failures"]) == (5, 5, [])
 
 
 def test_a_hang_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
