@@ -89,11 +89,13 @@ def test_job_prognosis_and_tool_follow_the_run(world):
 
     async def scene() -> None:
         async with world.connected() as client:
+            assert await status_of(client, f"{job}.RunsPlanned.IsValid") == WAITING
             world.control.now(RunState.MEASURING, run_id="r-1", kind="nightly", minutes_left=2.5)
             await until(client, f"{job}.RemainingTime", 150_000.0)
             assert await machine_node(client, f"{job}.Identifier").read_value() == "r-1"
             assert await machine_node(client, f"{job}.MeasurementReason").read_value() == 0
             assert (await machine_node(client, f"{job}.State.CurrentState").read_value()).Text == "Running"
+            assert await machine_node(client, f"{job}.RunsPlanned.IsValid").read_value() is True
             assert await machine_node(client, f"{job}.RunsCompleted").read_value() == 0
             active = await machine_node(client, "Monitoring.ToolMonitoring.ActiveTool").read_value()
             assert active == [machine_node(client, "Equipment.Tools.Probe").nodeid]
@@ -112,7 +114,8 @@ def test_job_prognosis_and_tool_follow_the_run(world):
             assert await status_of(client, f"{job}.RemainingTime") == BAD_NO_DATA
             assert await status_of(client, "Monitoring.ToolMonitoring.ActiveTool") == BAD_NO_DATA
             assert await machine_node(client, "Equipment.Tools.Probe.IsQualifiedStatus").read_value() == 0
-            assert await machine_node(client, f"{LAST}.UsedTools").read_value() == ["A-17"]
+            assert await machine_node(client, f"{LAST}.UsedTools").read_value() == ["A-16"]
+            assert await status_of(client, "Equipment.Tools.Probe.Alignment") == BAD_NO_DATA
 
     asyncio.run(scene())
 
