@@ -69,10 +69,12 @@ _MICROMETRE: Final = ua.EUInformation(
 
 
 class MachineSpace:
-    """Nodes of the machine. They must be used only in the server's event loop."""
+    """Nodes of the machine. They must be used only in the server's event loop. If `stop` is set, they are built no
+    further."""
 
-    def __init__(self, server: Server, settings: OpcUaSettings, state_directory: Path) -> None:
+    def __init__(self, server: Server, settings: OpcUaSettings, state_directory: Path, stop: asyncio.Event) -> None:
         self._server = server
+        self._stop = stop
         self._settings = settings
         self._state_directory = state_directory
         self._results = JournalResults()
@@ -90,7 +92,7 @@ class MachineSpace:
     async def build(self, own: int, name: str) -> None:
         """Add the machine `name`. `own` is the index of the own namespace, whose nodes already exist. Raise
         EndpointUnavailable if the node sets cannot be loaded."""
-        loaded = await load_node_sets(self._server, self._settings)
+        loaded = await load_node_sets(self._server, self._settings, self._stop)
         self._own = ua.Int16(own)
         self._indices = {uri: place for place, uri in enumerate(await self._server.get_namespace_array())}
         additions = additions_of(loaded)
