@@ -35,8 +35,8 @@ class CalibrationResult:
 
 @dataclass(frozen=True)
 class JournalResults:
-    """What the journal says about the machine: the result of the last calibration, that of the last one whose verdict
-    is good, and whether the stylus is qualified. Each is None if the journal does not say it."""
+    """Result of the last calibration in the journal, that of the last one whose verdict is good, and whether the stylus
+    is qualified. Each is None if the journal does not say it."""
 
     last: CalibrationResult | None = None
     last_good: CalibrationResult | None = None
