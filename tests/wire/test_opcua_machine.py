@@ -10,6 +10,7 @@ from datetime import datetime
 from importlib.resources import files
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from asyncua import ua
@@ -373,10 +374,10 @@ def test_a_server_that_is_stopped_loads_no_further_node_set_and_keeps_none(monke
     monkeypatch.setattr(node_sets, "node_sets_to_load", lambda _: found)
 
     async def scene() -> int:
-        server = StoppedServer(asyncio.Event())
+        server: Any = StoppedServer(asyncio.Event())
         with pytest.raises(EndpointUnavailable, match="stopped while it was loading"):
             await node_sets.load_node_sets(server, OpcUaSettings(), server.stop)
-        return server.imported
+        return int(server.imported)
 
     assert asyncio.run(scene()) == 1
     first, second = list(found.values())[:2]
@@ -402,7 +403,8 @@ def test_a_server_that_does_not_open_in_time_is_stopped_and_says_which_settings_
 
 
 @pytest.mark.parametrize("what", list(NOT_IMPORTED))
-def test_without_usable_node_sets_the_service_goes_on_and_says_so(tmp_path, what):
+def test_without_usable_node_sets_the_service_goes_on_and_says_so(tmp_path, monkeypatch, what):
+    monkeypatch.setattr(endpoint, "OPEN_TIMEOUT_S", WITHIN_S)
     make, words = NOT_IMPORTED[what]
     own = OpcUaEndpoint(OpcUaSettings(node_sets=make(tmp_path)), tmp_path, TOKEN)
     alarms: list[Alarm] = []
@@ -420,8 +422,9 @@ def test_no_defect_of_the_machine_space_keeps_the_service_from_starting(tmp_path
         raise KeyError("a reference to a type that the node set does not have")
 
     monkeypatch.setattr("agent.service.opcua.machine_space.load_node_sets", fails)
+    monkeypatch.setattr(endpoint, "OPEN_TIMEOUT_S", WITHIN_S)
     alarms: list[Alarm] = []
-    endpoint = OpcUaEndpoint(OpcUaSettings(), tmp_path, TOKEN)
-    with open_endpoints([endpoint], FakeControl(), alarms.append) as open_ones:
+    own = OpcUaEndpoint(OpcUaSettings(), tmp_path, TOKEN)
+    with open_endpoints([own], FakeControl(), alarms.append) as open_ones:
         assert open_ones == []
     assert alarms[0].text == "the service goes on without OPC UA: the server cannot be built: the log names the cause"
