@@ -257,10 +257,11 @@ def join_markers(svg: str) -> str:
 def _dot_style(style: str, radius: float) -> str | None:
     """Return the style of a line without length that looks like a circle in `style`, or None if line and filling of
     the circle are not alike."""
-    given = dict(part.split(": ", 1) for part in style.split("; "))
+    given = dict(part.split(": ", 1) for part in style.split("; ") if part)
     colour, opacity = given.get("fill", "none"), given.get("fill-opacity", "1")
     line = given.get("stroke", "none")
-    if colour == "none" or line not in ("none", colour) or opacity != given.get("stroke-opacity", opacity):
+    alike = line == "none" or (line == colour and given.get("stroke-opacity", "1") == opacity)
+    if colour == "none" or not alike:
         return None
     width = 2.0 * radius + (0.0 if line == "none" else float(given.get("stroke-width", "1")))
     return f"fill: none; stroke: {colour}; stroke-opacity: {opacity}; stroke-width: {width:.6g}; stroke-linecap: round"

@@ -79,6 +79,8 @@ class _Guard:
         complaints += not_restored
         reason = "; ".join([str(error), *complaints])
         end = RunState.ABORTED if aborted and not not_restored else RunState.FAULTED
+        if isinstance(error, JournalFailed):  # not recorded when it occurred; it decides whether the run can go on
+            attempt("record the fault", lambda: self._journal.fault(error))
         attempt("record the end", lambda: context.tracker.enter(end, reason))
 
     def _withdraw(self) -> None:

@@ -102,7 +102,7 @@ def _last(reader: JournalReader) -> UnfinishedRun | None:
 def _unfinished(reader: JournalReader, row: RunRow) -> UnfinishedRun | None:
     """Return what is known of the run if it is unfinished."""
     state = RunState(row.state)
-    fault = _fault(reader, row.run) if state is RunState.FAULTED else ""
+    fault = _fault(reader, row.run) if state in (RunState.FAULTED, RunState.ABORTING) else ""
     stopped = state is RunState.ABORTED or fault == STOPPED
     unproved = stopped and left_unproved(reader, row.run) and not _was_given_up(reader, row.run)
     if row.ended is not None and fault not in RESUMABLE_FAULTS and not unproved:
@@ -116,16 +116,19 @@ def _unfinished(reader: JournalReader, row: RunRow) -> UnfinishedRun | None:
         reason=row.reason or "",
         balls=reader.count_balls(row.run),
         last_step=reader.last_step_key(row.run) or "",
-        refusal=_refusal(reader, row, state, unproved=unproved),
+        refusal=_refusal(reader, row, state, fault, unproved=unproved),
     )
 
 
-def _refusal(reader: JournalReader, row: RunRow, state: RunState, *, unproved: bool) -> str:
+def _refusal(reader: JournalReader, row: RunRow, state: RunState, fault: str, *, unproved: bool) -> str:
     if row.kind == RESTORE:
         return "it restores a stored table, and does not go on; ask for the restoration again"
     if unproved:
         return ""
-    if state is RunState.ABORTING or (state in FINAL and state is not RunState.FAULTED):
+    if state is RunState.ABORTING and fault not in ("", STOPPED):
+        if fault not in RESUMABLE_FAULTS:
+            return "it was ending after a fault with which no run goes on"
+    elif state is RunState.ABORTING or (state in FINAL and state is not RunState.FAULTED):
         return f"it was {state.value} on request"
     origin = reader.origin(row.run)
     if origin is None or origin.begun_s is None:

@@ -8,9 +8,9 @@ not warm up.
 
     python -m campaigns.instruments.joined --machines 30 [--generator sines] [--worse-laser]
 
-With `--worse-laser` the laser shows all lengths too long by 8 µm/m, which it does not state. The output ends with one
-line of JSON; the exit code is 1 if less than 93 % of the components of the error field lie within their 95 % intervals
-with the instruments, or if a wrong laser is joined on more than a quarter of the machines.
+With `--worse-laser` the instruments show all lengths too long by 8 µm/m, which they do not state. The output ends with
+one line of JSON; the exit code is 1 if less than 93 % of the components of the error field lie within their 95 %
+intervals with the instruments, or if a wrong laser is joined on more than a quarter of the machines.
 """
 
 from __future__ import annotations

@@ -56,8 +56,8 @@ class CandidatePositions:
         """Volumetric error expected from the prior alone, without any measurement."""
         if self.instruments is None:
             return self.vce([])
-        alone = np.asarray(self.precision - self.instruments.T @ self.instruments, dtype=np.float64)
-        return self.form.expected(np.linalg.inv(alone))
+        alone: Array = np.asarray(np.linalg.inv(self.precision - self.instruments.T @ self.instruments))
+        return self.form.expected(alone)
 
     def covariance(self, chosen: Sequence[int] | Indices) -> Array:
         """Return the posterior covariance (P, P) of the P unknowns z that all positions share, after the `chosen`

@@ -57,14 +57,12 @@ class _Head(StrictModel):
 
 
 class _LaserHead(_Head):
-    instrument: Literal["laser"]
     sigma_um: Noise | None = None
     scale_um_per_m: Uncertainty = LaserSetUp.scale_um_per_m
     drift_um: Uncertainty = LaserSetUp.drift_um
 
 
 class _StraightnessHead(_Head):
-    instrument: Literal["straightness"]
     across: Literal["X", "Y", "Z"]
     sigma_um: Noise | None = None
     scale_percent: Uncertainty = StraightnessSetUp.scale_percent
@@ -72,7 +70,6 @@ class _StraightnessHead(_Head):
 
 
 class _BallbarHead(_Head):
-    instrument: Literal["ballbar"]
     centre_mm: Triple
     radius_mm: Annotated[float, Field(gt=0.0)]
     plane: Literal["XY", "YZ", "ZX"]
@@ -83,14 +80,13 @@ class _BallbarHead(_Head):
 
 
 class _LevelHead(StrictModel):
-    instrument: Literal["level"]
     about: Literal["X", "Y", "Z"]
     sigma_urad: Noise | None = None
     scale_percent: Uncertainty = 0.5
 
 
 class _ValuesHead(StrictModel):
-    instrument: Literal["values"]
+    """Head of an earlier report: each value states its own uncertainty."""
 
 
 _HEADS: Mapping[str, type[StrictModel]] = {
@@ -130,7 +126,7 @@ def parse_instrument(text: str, source: str, name: str, machine: InstrumentMachi
 
 def _head(lines: Sequence[str], source: str) -> StrictModel:
     document = parse_toml("\n".join(line.lstrip().removeprefix("#").strip() for line in lines), source)
-    kind = document.get("instrument")
+    kind = document.pop("instrument", None)
     if kind not in INSTRUMENT_KINDS:
         message = "key 'instrument' is missing" if kind is None else f"unknown instrument {kind!r:.80}"
         hint = f'Begin the file with a line such as: # instrument = "laser". Known: {", ".join(INSTRUMENT_KINDS)}'

@@ -112,8 +112,8 @@ ENGLISH: Texts = {
     # captions and notes
     "joined_note": (
         "Each instrument is tested against the ball centres and the other instruments. The probability is that of such "
-        "a χ² or a larger one if all are right. The largest difference is that of one reading, in its own standard "
-        "uncertainty, after the set-up has been fitted."
+        "a χ² or such a largest difference, at most, if all are right. The largest difference is that of one reading, "
+        "in its own standard uncertainty, after the set-up has been fitted."
     ),
     "calibration_note": (
         "Ball centres at the reference temperature, estimated together with the errors of the machine, with U (k = "

@@ -114,6 +114,7 @@ class FakeJournal:
         self.full = False
         self.states: list[tuple[RunState, str]] = []
         self.decisions: list[str] = []
+        self.faults: list[str] = []
         self.tables: list[tuple[str, int]] = []
 
     def _write(self) -> None:
@@ -131,6 +132,10 @@ class FakeJournal:
 
     def fail(self, _: object, __: BaseException) -> None:
         self._write()
+
+    def fault(self, error: BaseException, step: str = "") -> None:
+        self._write()
+        self.faults.append(type(error).__name__)
 
     def state(self, state: RunState, reason: str = "", *, final: bool = False) -> None:
         self._write()
@@ -376,6 +381,27 @@ def test_the_bank_is_restored_although_the_disk_fills_on_the_exit_path(monkeypat
     monkeypatch.setattr(machine, "stop", stop)
     run, _, _ = ended(raising(MotionFault("limit"), written_before=True), machine, journal)
     assert machine.active == run.results.active_bank == FOUND
+
+
+def test_a_full_disk_is_recorded_as_the_fault_as_soon_as_there_is_room_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    journal, machine = FakeJournal(), FakeMachine()
+    does = machine.stop
+
+    def stop() -> list[str]:
+        journal.full = False
+        return does()
+
+    monkeypatch.setattr(machine, "stop", stop)
+
+    def fill(_: Run) -> Plan[None]:
+        yield from written()
+        journal.full = True
+        yield MoveTo("next", (0.0, 0.0, 0.0))
+
+    run, _, _ = ended(fill, machine, journal)
+    assert isinstance(run.results.error, JournalFailed)
+    assert journal.faults == ["JournalFailed"]
+    assert journal.states[-1][0] is RunState.FAULTED
 
 
 @pytest.mark.parametrize("in_step", [True, False])

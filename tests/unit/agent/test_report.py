@@ -599,8 +599,10 @@ class TestMarkers:
             ),
             ("fill: red; stroke: blue", None),
             ("fill: red; fill-opacity: 0.5; stroke: red; stroke-opacity: 0.9", None),
+            ("fill: red; fill-opacity: 0.5; stroke: red", None),
             ("fill: none; stroke: red", None),
             ("stroke: red", None),
+            ("", None),
         ],
     )
     def test_a_disc_of_one_colour_is_a_line_without_length(self, style: str, dot: str | None) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.errors import PlanDiverged
+from agent.errors import Aborted, PlanDiverged
 from agent.execution.encoding import decode_result, encode_result, table_digest
 from agent.execution.engine import Action
 from agent.execution.journal import Journal, RunJournal
@@ -32,7 +32,7 @@ from agent.runs.resume.replay_engine import Replay, ReplayingEngine
 from agent.runs.resume.step_trace import StepTrace
 from agent.runs.unfinished_run import unfinished_run
 from drivers.clock import VirtualClock
-from drivers.errors import CommandRejected, DeadlineExpired, GuardTripped, LinkLost, MotionFault
+from drivers.errors import CommandRejected, DeadlineExpired, GuardTripped, LinkLost, MotionFault, VolcalError
 from drivers.roles import Miss, Orientation, TableImage, Touch
 
 TABLE = TableImage((0.0, 0.1, 0.2), (1.0, 2.0, 3.0), 1e-4, np.arange(24, dtype=np.int32).reshape(2, 2, 2, 3))
@@ -247,6 +247,27 @@ def test_only_faults_from_outside_can_be_resumed(journal: Journal, tmp_path: Pat
     run.fail(step, error)
     run.state(RunState.FAULTED, str(error), final=True)
     assert (unfinished_run(tmp_path) is not None) is resumable
+
+
+@pytest.mark.parametrize(
+    ("error", "refusal"),
+    [
+        (LinkLost("gone"), ""),
+        (GuardTripped("hit"), "it was ending after a fault with which no run goes on"),
+        (Aborted("aborted: panel"), "it was aborting on request"),
+    ],
+)
+def test_a_run_that_was_killed_while_it_ended_goes_on_after_a_fault_from_outside(
+    journal: Journal, tmp_path: Path, error: VolcalError, refusal: str
+) -> None:
+    run = begun(journal)
+    step = MoveTo("a", (1.0, 0.0, 0.0))
+    run.begin(step)
+    run.fail(step, error)
+    run.state(RunState.ABORTING, str(error))
+    found = unfinished_run(tmp_path)
+    assert found is not None
+    assert found.refusal == refusal
 
 
 def test_a_run_refused_before_it_began_does_not_hide_an_interrupted_one(journal: Journal, tmp_path: Path) -> None:

@@ -26,6 +26,8 @@ def test_every_row_has_a_test_or_says_that_there_is_no_defence(row: str) -> None
     for file, test in named:
         text = (ROOT / file).read_text(encoding="utf-8")
         assert f"def {test}(" in text if test else "def test_" in text, f"{file}::{test}"
+        only_long = "@pytest.mark.long" in text if not test else f"@pytest.mark.long\ndef {test}(" in text
+        assert not only_long, f"{file}::{test} is not part of the check"
 
 
 def test_the_threat_model_has_rows_for_all_four_attackers() -> None:

@@ -36,9 +36,9 @@ class LargestResidual:
 class InstrumentCheck:
     """Result of the test of one instrument, the file `name`, against the rest.
 
-    `chi2` has `degrees_of_freedom`, and `false_alarm` is the probability of such a χ² or a larger one if the instrument
-    and the estimate are right. `contradicts` is True if that is less than the limit, and `joined` is True if the
-    readings are part of the estimate.
+    `chi2` has `degrees_of_freedom`. `false_alarm` is at most the probability of such a χ² or such a largest difference
+    if the instrument and the estimate are right. `contradicts` is True if that is less than the limit, and `joined` is
+    True if the readings are part of the estimate.
     """
 
     name: str

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from scipy.special import chdtrc
+from scipy.special import chdtrc, ndtr
 
 from twin.arrays import Array
 from twin.identification.estimate import Estimate, Misfit
@@ -128,7 +128,9 @@ def _tested(estimate: JointEstimate, prepared: Sequence[_Prepared], number: int,
     worst = int(np.abs(sigmas).argmax())
     unit = one.readings.unit(worst)
     largest = LargestResidual(one.readings.line(worst), float(sigmas[worst]), float(fitted[worst]), unit)
-    tail = float(chdtrc(freedom, chi2))
+    # Bonferroni over the readings, and over both tests: χ² hardly notices one direction such as a wrong scale
+    of_largest = 2.0 * one.readings.size * float(ndtr(-abs(sigmas[worst])))
+    tail = min(1.0, 2.0 * min(float(chdtrc(freedom, chi2)), of_largest))
     kind = one.readings.kind
     return InstrumentCheck(one.readings.name, kind, one.readings.size, chi2, freedom, tail, largest, False, True)
 
