@@ -32,11 +32,17 @@ BEGUN_RUNS = RUN + (
     "OR EXISTS (SELECT 1 FROM origins WHERE origins.run = runs.run AND begun_s IS NOT NULL) "
     "ORDER BY run DESC"
 )
+STARTED_RUNS = (  # a resumed run that began before the last one has a lower number, and is later
+    "SELECT runs.run, run_id, runs.kind, started, ended, runs.state, reason, software FROM events "
+    "CROSS JOIN runs USING (run) WHERE events.kind = 'state' AND CASE WHEN json_valid(record) "
+    "THEN json_extract(record, '$.state') END IN ('preflight', 'resuming') ORDER BY events.rowid DESC"
+)
 ADDED_AFTER_END = (  # every run writes its outcome just after its end
     "SELECT run FROM decisions JOIN runs USING (run) WHERE at > ended AND decisions.kind <> 'outcome' "
     "UNION SELECT run FROM tables JOIN runs USING (run) WHERE at > ended"
 )
 HAS_STEP = "SELECT 1 FROM {at}steps WHERE run = :run AND kind IN (SELECT value FROM json_each(:kinds)) LIMIT 1"
+HAS_STEP_BELOW = "SELECT 1 FROM {at}steps WHERE run = :run AND substr(key, 1, length(:start)) = :start LIMIT 1"
 ORIGIN = "SELECT run, run_id, settings, record, begun_s, begun_at FROM runs JOIN origins USING (run) WHERE run = :run"
 STEP = "SELECT ordinal, key, kind, detail, begun, finished, result, error FROM {at}steps "
 TOUCH = "FROM {at}steps WHERE run = :run AND kind = 'TouchTowards' AND result IS NOT NULL AND NOT aside "

@@ -162,6 +162,15 @@ class JournalReader:
         for row in self._connection.execute(queries.BEGUN_RUNS.format(compacted=self._compacted())):
             yield RunRow(*row)
 
+    def latest_started_runs(self) -> Iterator[RunRow]:
+        """Yield the row of a run for each time that it was started or resumed, the latest time first."""
+        for row in self._connection.execute(queries.STARTED_RUNS):
+            yield RunRow(*row)
+
+    def has_step_below(self, run: int, start: str) -> bool:
+        """Return True if the run has recorded a step whose key begins with `start`."""
+        return bool(self._measured(queries.HAS_STEP_BELOW, run, start=start))
+
     def has_worked(self, run: int) -> bool:
         """Return True if the run has begun to measure or to write tables."""
         return bool(self._measured(queries.HAS_STEP, run, kinds=_listed(WORKING_STEPS)))

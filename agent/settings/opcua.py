@@ -46,7 +46,8 @@ class OpcUaSettings(StrictModel):
     the state directory. If `anonymous_reading` is true, anonymous clients may read, hold and abort. `node_sets` is the
     directory of the node sets of the companion specifications; by default those shipped with volcal are loaded.
     `further_node_sets` are files of node sets that are loaded in addition, such as that of OPC 40210.
-    `calibration_interval_days` is the time after which the operator of the machine wants a new calibration.
+    `calibration_interval_days` is the time in days after which the operator of the machine wants a new calibration; it
+    is shown only if the node set of OPC 40210 is loaded.
     """
 
     enabled: bool = False

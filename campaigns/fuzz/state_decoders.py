@@ -23,8 +23,9 @@ from agent.service.access.paired_clients import PairedClients
 from agent.service.client import Client
 from agent.service.gateway import sequence_ledger
 from agent.service.gateway.sequence_ledger import SequenceLedger
-from agent.service.opcua.node_set_files import NODE_SETS, XML, read_node_sets
+from agent.service.opcua.node_set_files import NODE_SETS, XML, node_sets_to_load
 from agent.service.token import read_token
+from agent.settings.opcua import OpcUaSettings
 from campaigns.fuzz.memory_file import MemoryFile, MemoryFolder
 from campaigns.fuzz.trial import Decoder
 from drivers.errors import LinkLost, VolcalError
@@ -139,15 +140,21 @@ def _reading_active_bank() -> Callable[[bytes], object]:
 
 def _node_set(number: int) -> bytes:
     needed, namespace = NODE_SETS[number], XML.strip("{}")
-    model = f'<Models><Model ModelUri="{needed.uri}" Version="{needed.version}"/></Models>'
     uris = f"<NamespaceUris><Uri>{needed.uri}</Uri></NamespaceUris>"
+    base = NODE_SETS[-1]
+    required = f'<RequiredModel ModelUri="{base.uri}" Version="{base.version}"/>' if needed is not base else ""
+    model = f'<Models><Model ModelUri="{needed.uri}" Version="{needed.version}">{required}</Model></Models>'
     return f'<?xml version="1.0" encoding="utf-8"?><UANodeSet xmlns="{namespace}">{uris}{model}</UANodeSet>'.encode()
 
 
 def _reading_node_sets() -> Callable[[bytes], object]:
     folder = MemoryFolder()
     others = {f"{number}.xml": _node_set(number) for number in range(1, len(NODE_SETS))}
-    return lambda data: folder.reading({"0.xml": data, **others}, read_node_sets)
+
+    def read(path: Path) -> object:
+        return node_sets_to_load(OpcUaSettings(node_sets=path))
+
+    return lambda data: folder.reading({"0.xml": data, **others}, read)
 
 
 class _AnsweredClient(Client):

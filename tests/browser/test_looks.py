@@ -138,6 +138,29 @@ def test_the_page_tells_each_sentence_as_the_catalogue_does(page: Page) -> None:
     assert [pair for pair in zip(texts, told, strict=True) if german(pair[0]) != pair[1]] == []
 
 
+KEY = "probing/station-2/az90-el-45/ball-03"
+LOST = {
+    "touch 1 met nothing": (KEY, "Ball 3 not found: station 2, azimuth 90°, elevation -45°"),
+    "touch 1 met nothing when it was repeated": (KEY, "Ball 3 rejected: station 2, azimuth 90°, elevation -45°"),
+    "the touches lie on no sphere": (KEY, "Ball 3 rejected: station 2, azimuth 90°, elevation -45°"),
+    None: (KEY, "Ball 3 not found: station 2, azimuth 90°, elevation -45°"),
+    "no ball in the key": ("probing/station-2", "Station 2"),
+    "no place in the key": ("artefact", "artefact"),
+}
+
+
+def test_a_ball_that_could_not_be_measured_is_told_by_its_reason_and_its_place(page: Page) -> None:
+    events = [
+        {"kind": "lost", "text": key, "data": {} if reason is None else {"reason": reason}}
+        for reason, (key, _) in LOST.items()
+    ]
+    told = page.evaluate(
+        "async events => { const { eventText } = await import('/assets/wording.js'); return events.map(eventText); }",
+        events,
+    )
+    assert [text.lower() for text in told] == [text.lower() for _, text in LOST.values()]
+
+
 def test_two_fingers_and_the_wheel_zoom_the_view(page: Page) -> None:
     canvas = page.locator(".stage canvas")
     box = canvas.bounding_box()

@@ -132,9 +132,11 @@ async def read(client: Client, path: str):
 
 def calibrated(state: Path, run_id: str, *, vce_um: float, probe: Mapping[str, Any] | None = None) -> str:
     """Write a calibration that has ended into the journal, and return the time of its end. `probe` is what it records
-    of the checks of the probe."""
+    of the checks of the probe, whose serial number its settings name."""
     journal = Journal(state)
-    run = journal.start_run(run_id, "calibrate", {"machine": "m.toml"}, "0.1.0", VirtualClock())
+    settings = {"machine": "m.toml", "opcua": {"probe": {"serial_number": "A-16"}}}
+    run = journal.start_run(run_id, "calibrate", settings, "0.1.0", VirtualClock())
+    run.state(RunState.PREFLIGHT)
     run.origin({})
     run.begun()
     if probe is not None:

@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from datetime import datetime
 from importlib.resources import files
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from asyncua import ua
@@ -30,11 +32,12 @@ from agent.errors import EndpointUnavailable
 from agent.execution.states import RunState
 from agent.service.control import Alarm
 from agent.service.daemon.endpoints import open_endpoints
+from agent.service.opcua import endpoint, node_sets
 from agent.service.opcua.companion_types import ALERT, DEVICES, MACHINE_TOOL, MACHINERY, RESULT
 from agent.service.opcua.endpoint import OpcUaEndpoint
 from agent.service.opcua.machine_model import LAST, LAST_META, MACHINE_VARIABLES, READY_EVENT, RESULTS
 from agent.service.opcua.model import NAMESPACE
-from agent.service.opcua.node_set_files import further_node_sets, read_node_sets
+from agent.service.opcua.node_set_files import NODE_SETS, node_sets_to_load
 from agent.settings.opcua import OpcUaSettings
 
 PLATE = {
@@ -294,6 +297,14 @@ BAD = {
         "MachineTool.NodeSet2.xml and older.xml have the same namespace",
     ),
     "a set that builds on another one": (lambda d: further(d, "urn:none"), "builds on urn:none, which is not here"),
+    "one of the seven needs a newer one": (
+        lambda d: changed(d, MACHINE_TOOL_FILE, '(/UA/Machinery/" Version=")1.03.0', r"\g<1>9.9.0"),
+        "MachineTool/ needs version 9.9.0 of http://opcfoundation.org/UA/Machinery/: 1.04.1 is there",
+    ),
+    "one of the seven builds on another one": (
+        lambda d: changed(d, MACHINE_TOOL_FILE, 'Model ModelUri="[^"]*/IA/', 'Model ModelUri="urn:none'),
+        "MachineTool/ builds on urn:none, which is not here",
+    ),
     "another document": (lambda d: changed(d, MACHINE_TOOL_FILE, r".*", "<svg/>"), "not a UANodeSet"),
     "another namespace": (
         lambda d: changed(d, MACHINE_TOOL_FILE, '<Model ModelUri="[^"]*', '<Model ModelUri="urn:x'),
@@ -321,18 +332,83 @@ NOT_IMPORTED = {
 def test_an_unusable_node_set_is_named_with_what_to_do(tmp_path, what):
     make, words = BAD[what]
     with pytest.raises(EndpointUnavailable, match=words) as caught:
-        further_node_sets(read_node_sets(make(tmp_path)))
+        node_sets_to_load(OpcUaSettings(node_sets=make(tmp_path)))
     assert caught.value.where["key"] == "opcua.node_sets"
     assert str(tmp_path) in caught.value.where["file"]
     assert "UA-Nodeset" in caught.value.hint or "keep one" in caught.value.hint
 
 
+def test_each_of_the_seven_is_imported_after_those_on_which_it_builds(tmp_path):
+    shipped = list(node_sets_to_load(OpcUaSettings()))
+    assert shipped == [one.uri for one in NODE_SETS]
+    further(tmp_path, required=DEVICES)
+    own = changed_in_place(tmp_path / "sets", "Opc.Ua.Machinery_Result.NodeSet2.xml")
+    jobs = list(node_sets_to_load(OpcUaSettings(node_sets=own)))
+    assert jobs.index(RESULT) > jobs.index("urn:further")
+    assert [uri for uri in jobs if uri != "urn:further"] == shipped
+
+
+def changed_in_place(sets: Path, name: str) -> Path:
+    """Let a node set build on `urn:further` as well."""
+    text = (sets / name).read_text(encoding="utf-8")
+    (sets / name).write_text(
+        text.replace("<RequiredModel ", '<RequiredModel ModelUri="urn:further"/><RequiredModel ', 1)
+    )
+    return sets
+
+
+class StoppedServer:
+    """Server that is stopped while it imports its first node set."""
+
+    def __init__(self, stop: asyncio.Event) -> None:
+        self.stop = stop
+        self.imported = 0
+
+    async def import_xml(self, **_: object) -> None:
+        self.imported += 1
+        self.stop.set()
+
+
+def test_a_server_that_is_stopped_loads_no_further_node_set_and_keeps_none(monkeypatch):
+    found = node_sets_to_load(OpcUaSettings())
+    monkeypatch.setattr(node_sets, "node_sets_to_load", lambda _: found)
+
+    async def scene() -> int:
+        server: Any = StoppedServer(asyncio.Event())
+        with pytest.raises(EndpointUnavailable, match="stopped while it was loading"):
+            await node_sets.load_node_sets(server, OpcUaSettings(), server.stop)
+        return int(server.imported)
+
+    assert asyncio.run(scene()) == 1
+    first, second = list(found.values())[:2]
+    assert len(first.root) == 0
+    assert len(second.root) > 0
+
+
+def test_a_server_that_does_not_open_in_time_is_stopped_and_says_which_settings_to_change(tmp_path, monkeypatch):
+    class Slow:
+        def __init__(self, *_: object) -> None: ...
+
+        async def serve(self, stop: asyncio.Event, opened: object) -> None:
+            await stop.wait()
+
+    stub = SimpleNamespace(OpcUaServer=Slow, ServerFiles=lambda *_: None)
+    monkeypatch.setattr(endpoint, "import_module", lambda _: stub)
+    monkeypatch.setattr(endpoint, "OPEN_TIMEOUT_S", 0.0)
+    slow = OpcUaEndpoint(OpcUaSettings(), tmp_path, TOKEN)
+    with pytest.raises(EndpointUnavailable, match="did not open within 0 s") as caught:
+        slow.start(FakeControl())
+    assert "opcua.further_node_sets" in caught.value.hint
+    assert not slow.alive
+
+
 @pytest.mark.parametrize("what", list(NOT_IMPORTED))
-def test_without_usable_node_sets_the_service_goes_on_and_says_so(tmp_path, what):
+def test_without_usable_node_sets_the_service_goes_on_and_says_so(tmp_path, monkeypatch, what):
+    monkeypatch.setattr(endpoint, "OPEN_TIMEOUT_S", WITHIN_S)
     make, words = NOT_IMPORTED[what]
-    endpoint = OpcUaEndpoint(OpcUaSettings(node_sets=make(tmp_path)), tmp_path, TOKEN)
+    own = OpcUaEndpoint(OpcUaSettings(node_sets=make(tmp_path)), tmp_path, TOKEN)
     alarms: list[Alarm] = []
-    with open_endpoints([endpoint], FakeControl(), alarms.append) as open_ones:
+    with open_endpoints([own], FakeControl(), alarms.append) as open_ones:
         assert open_ones == []
     (alarm,) = alarms
     assert re.search(words, alarm.text)
@@ -346,8 +422,9 @@ def test_no_defect_of_the_machine_space_keeps_the_service_from_starting(tmp_path
         raise KeyError("a reference to a type that the node set does not have")
 
     monkeypatch.setattr("agent.service.opcua.machine_space.load_node_sets", fails)
+    monkeypatch.setattr(endpoint, "OPEN_TIMEOUT_S", WITHIN_S)
     alarms: list[Alarm] = []
-    endpoint = OpcUaEndpoint(OpcUaSettings(), tmp_path, TOKEN)
-    with open_endpoints([endpoint], FakeControl(), alarms.append) as open_ones:
+    own = OpcUaEndpoint(OpcUaSettings(), tmp_path, TOKEN)
+    with open_endpoints([own], FakeControl(), alarms.append) as open_ones:
         assert open_ones == []
     assert alarms[0].text == "the service goes on without OPC UA: the server cannot be built: the log names the cause"

@@ -89,11 +89,13 @@ def test_job_prognosis_and_tool_follow_the_run(world):
 
     async def scene() -> None:
         async with world.connected() as client:
+            assert await status_of(client, f"{job}.RunsPlanned.IsValid") == WAITING
             world.control.now(RunState.MEASURING, run_id="r-1", kind="nightly", minutes_left=2.5)
             await until(client, f"{job}.RemainingTime", 150_000.0)
             assert await machine_node(client, f"{job}.Identifier").read_value() == "r-1"
             assert await machine_node(client, f"{job}.MeasurementReason").read_value() == 0
             assert (await machine_node(client, f"{job}.State.CurrentState").read_value()).Text == "Running"
+            assert await machine_node(client, f"{job}.RunsPlanned.IsValid").read_value() is True
             assert await machine_node(client, f"{job}.RunsCompleted").read_value() == 0
             active = await machine_node(client, "Monitoring.ToolMonitoring.ActiveTool").read_value()
             assert active == [machine_node(client, "Equipment.Tools.Probe").nodeid]
@@ -112,7 +114,8 @@ def test_job_prognosis_and_tool_follow_the_run(world):
             assert await status_of(client, f"{job}.RemainingTime") == BAD_NO_DATA
             assert await status_of(client, "Monitoring.ToolMonitoring.ActiveTool") == BAD_NO_DATA
             assert await machine_node(client, "Equipment.Tools.Probe.IsQualifiedStatus").read_value() == 0
-            assert await machine_node(client, f"{LAST}.UsedTools").read_value() == ["A-17"]
+            assert await machine_node(client, f"{LAST}.UsedTools").read_value() == ["A-16"]
+            assert await status_of(client, "Equipment.Tools.Probe.Alignment") == BAD_NO_DATA
 
     asyncio.run(scene())
 
@@ -131,9 +134,9 @@ def written(path: Path, text: str) -> Path:
     return path
 
 
-def large(path: Path) -> Path:
+def large(path: Path, size: int = MAX_BYTES + 1) -> Path:
     with path.open("wb") as file:
-        file.truncate(MAX_BYTES + 1)
+        file.truncate(size)
     return path
 
 
@@ -142,7 +145,10 @@ BAD = {
     "a folder": (lambda d: (d,), "cannot be read: .*directory"),
     "not XML": (lambda d: (written(d / "a.xml", "GMS"),), "it is not XML in line 1"),
     "a page of the web": (lambda d: (written(d / "a.xml", "<html/>"),), "it is not a UANodeSet with a model"),
-    "too large": (lambda d: (large(d / "a.xml"),), "it is larger than 32 MB"),
+    "too large": (lambda d: (large(d / "a.xml"),), "larger than 4 MB together with this one"),
+    "too large with the others": (
+        lambda d: (written_gms(d / "a.xml"), large(d / "b.xml", MAX_BYTES - 1_400_000)), "larger than 4 MB together",
+    ),
     "another namespace": (lambda d: (written_gms(d / "a.xml", uri="urn:x"),), "urn:x of its model is not one of its"),
     "of the server": (
         lambda d: (written_gms(d / "a.xml", uri="http://opcfoundation.org/UA/"),), "is part of the server itself",
@@ -156,6 +162,13 @@ BAD = {
     ),
     "newer than what it builds on": (
         lambda d: (written_gms(d / "a.xml", old="9.0.0"),), "needs version 9.0.0 of .*: 1.* is there",
+    ),
+    "a long version of what it builds on": (
+        lambda d: (written_gms(d / "a.xml", old="9" * 5000),), "the version that it needs of .* is too long",
+    ),
+    "what it builds on has no namespace": (
+        lambda d: (written(d / "a.xml", written_gms(d / "b.xml").read_text().replace(
+            f'RequiredModel ModelUri="{DI}"', "RequiredModel")),), "on which it builds has no namespace",
     ),
     "on itself": (lambda d: (written_gms(d / "a.xml", also_required=GMS),), "it builds on itself"),
 }  # fmt: skip
@@ -178,6 +191,16 @@ def test_order_in_the_settings_does_not_matter(tmp_path):
                     .replace(f"<Uri>{GMS}</Uri>", f"<Uri>urn:above</Uri><Uri>{GMS}</Uri>")
                     .replace("</Model>", f'<RequiredModel ModelUri="{GMS}"/></Model>'))  # fmt: skip
     assert list(node_sets_to_load(OpcUaSettings(further_node_sets=(above, base))))[-2:] == [GMS, "urn:above"]
+
+
+def test_zeros_at_the_end_of_a_version_do_not_count(tmp_path):
+    # Machine Tools is there as 1.02.0, Result Transfer as 1.01.0
+    text = written_gms(tmp_path / "gms.xml").read_text()
+    for version in ("1.02", "1.02.0.0"):
+        file = written(tmp_path / "a.xml", text.replace(f'"{MACHINE_TOOL}" Version="1.01.1"',
+                                                        f'"{MACHINE_TOOL}" Version="{version}"'))  # fmt: skip
+        assert version in file.read_text()
+        assert GMS in node_sets_to_load(OpcUaSettings(further_node_sets=(file,)))
 
 
 def test_the_check_of_the_settings_says_it_before_the_service_does(tmp_path):

@@ -38,6 +38,7 @@ class OpcUaEndpoint:
         self._thread: threading.Thread | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._stop: asyncio.Event | None = None
+        self._stopped = threading.Event()
 
     @property
     def name(self) -> str:
@@ -60,6 +61,7 @@ class OpcUaEndpoint:
         """Open the endpoint. Raise EndpointUnavailable if that fails, whatever the reason: the machine can be used
         without OPC UA."""
         opened: Future[None] = Future()
+        self._stopped.clear()
         self._thread = threading.Thread(target=self._run, args=(control, opened), name="opc ua", daemon=True)
         self._thread.start()
         try:
@@ -73,6 +75,7 @@ class OpcUaEndpoint:
 
     def stop(self) -> None:
         """Close the endpoint. Do nothing if it is already closed."""
+        self._stopped.set()
         if self._loop is not None and self._stop is not None and not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._stop.set)
         if self._thread is not None:
@@ -98,16 +101,24 @@ class OpcUaEndpoint:
                 hint="pip install 'volcal[opcua]', or opcua.enabled = false",
             ) from error
         self.trusted_clients.mkdir(parents=True, exist_ok=True)
-        self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
+        stop = asyncio.Event()
+        self._loop, self._stop = asyncio.get_running_loop(), stop
+        if self._stopped.is_set():  # it was stopped before there was a loop to tell
+            stop.set()
         AcceptErrors("OPC UA").install()
         files = module.ServerFiles(self._state_directory, self._directory, self.trusted_clients, self._token)
         server: OpcUaServer = module.OpcUaServer(self._settings, files, control)
-        await server.serve(self._stop, lambda: opened.set_result(None))
+        await server.serve(stop, lambda: opened.set_result(None))
 
 
 def _unavailable(error: Exception) -> EndpointUnavailable:
     if isinstance(error, VolcalError):
         return EndpointUnavailable(error.message, hint=error.hint, **error.where)
+    hint = (
+        "set opcua.enabled = false, or remove opcua.node_sets and opcua.further_node_sets: then only the node sets "
+        "that are shipped are loaded"
+    )
+    if isinstance(error, TimeoutError):
+        return EndpointUnavailable(f"the server did not open within {OPEN_TIMEOUT_S:g} s", hint=hint, key="opcua")
     log.error("OPC UA cannot be opened", exc_info=error)
-    hint = "set opcua.enabled = false, or remove opcua.node_sets to use the node sets that are shipped"
     return EndpointUnavailable(f"the server cannot be built: {IN_THE_LOG}", hint=hint, key="opcua")

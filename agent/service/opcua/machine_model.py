@@ -31,7 +31,7 @@ from agent.service.opcua.companion_types import (
     SOFTWARE,
     CompanionType,
 )
-from agent.service.opcua.last_calibration import CalibrationResult
+from agent.service.opcua.last_calibration import CalibrationResult, JournalResults
 from agent.service.opcua.model import NAMESPACE, PROGRAM_STATES
 from agent.settings.opcua import IdentificationPlate, OpcUaSettings
 
@@ -42,13 +42,15 @@ MachineValue = str | float | int | datetime | tuple[str, ...]
 
 @dataclass(frozen=True)
 class Facts:
-    """All that was read: the status of the service, the settings, the result of the last calibration, and whether the
-    stylus is qualified, None if that is not known."""
+    """All that was read: the status of the service, the settings, and what the journal says."""
 
     status: Status
     settings: OpcUaSettings
-    result: CalibrationResult | None
-    stylus_qualified: bool | None = None
+    results: JournalResults
+
+    @property
+    def result(self) -> CalibrationResult | None:
+        return self.results.last
 
     @property
     def plate(self) -> IdentificationPlate:

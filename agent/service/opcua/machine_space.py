@@ -32,7 +32,7 @@ from agent.service.opcua.companion_types import (
     RESULT_READY,
     CompanionType,
 )
-from agent.service.opcua.last_calibration import CalibrationResult, last_calibration, stylus_qualified
+from agent.service.opcua.last_calibration import CalibrationResult, JournalResults, journal_results
 from agent.service.opcua.machine_model import (
     ALERTS,
     CALIBRATION,
@@ -69,14 +69,15 @@ _MICROMETRE: Final = ua.EUInformation(
 
 
 class MachineSpace:
-    """Nodes of the machine. They must be used only in the server's event loop."""
+    """Nodes of the machine. They must be used only in the server's event loop. If `stop` is set, they are built no
+    further."""
 
-    def __init__(self, server: Server, settings: OpcUaSettings, state_directory: Path) -> None:
+    def __init__(self, server: Server, settings: OpcUaSettings, state_directory: Path, stop: asyncio.Event) -> None:
         self._server = server
+        self._stop = stop
         self._settings = settings
         self._state_directory = state_directory
-        self._result: CalibrationResult | None = None
-        self._stylus_qualified: bool | None = None
+        self._results = JournalResults()
         self._variables: tuple[MachineVariable, ...] = MACHINE_VARIABLES
         self._state_machines: tuple[StateMachine, ...] = STATE_MACHINES
         self._own = ua.Int16(0)
@@ -91,7 +92,7 @@ class MachineSpace:
     async def build(self, own: int, name: str) -> None:
         """Add the machine `name`. `own` is the index of the own namespace, whose nodes already exist. Raise
         EndpointUnavailable if the node sets cannot be loaded."""
-        loaded = await load_node_sets(self._server, self._settings)
+        loaded = await load_node_sets(self._server, self._settings, self._stop)
         self._own = ua.Int16(own)
         self._indices = {uri: place for place, uri in enumerate(await self._server.get_namespace_array())}
         additions = additions_of(loaded)
@@ -119,27 +120,27 @@ class MachineSpace:
         await self._ready.init(await self._own_type(RESULT_READY, READY_EVENT), self._node(RESULTS))
 
     async def read_result(self) -> None:
-        """Read the result of the last calibration and the qualification of the stylus from the journal, in a thread. If
-        the journal cannot be read, what was read before stays."""
+        """Read the results of calibrations and the qualification of the stylus from the journal, in a thread. If the
+        journal cannot be read, what was read before stays."""
         try:
-            self._result = await asyncio.to_thread(last_calibration, self._state_directory)
-            self._stylus_qualified = await asyncio.to_thread(stylus_qualified, self._state_directory)
+            self._results = await asyncio.to_thread(journal_results, self._state_directory)
         except VolcalError as error:
             log.warning("result of the last calibration not read", error=str(error))
 
     async def show(self, status: Status) -> None:
         """Update the nodes that have changed since the last call. Send an event about a new result, which a client can
         read then."""
-        facts = Facts(status, self._settings, self._result, self._stylus_qualified)
+        facts = Facts(status, self._settings, self._results)
         for variable in self._variables:
             await self._write(variable.path, self._value(variable, facts))
         for machine in self._state_machines:
             await self._show_state(machine, facts)
         await self._show_result()
-        if self._result is not None and self._result != self._told:
-            self._told = self._result
-            self._ready.event.Result = _structures(self._result)[1]
-            await self._ready.trigger(message=self._result.verdict.sentence["en"])
+        result = self._results.last
+        if result is not None and result != self._told:
+            self._told = result
+            self._ready.event.Result = _structures(result)[1]
+            await self._ready.trigger(message=result.verdict.sentence["en"])
 
     async def send_alert(self, alarm: Alarm, *, active: bool) -> None:
         """Send an AlertType event: the alarm has appeared, or a reset has removed it.
@@ -269,7 +270,7 @@ class MachineSpace:
 
     async def _show_result(self) -> None:
         """Show the result as the structures of OPC 40001-101; their fields are also variables."""
-        result = self._result
+        result = self._results.last
         for path, value in zip((LAST_META, LAST), (None, None) if result is None else _structures(result), strict=True):
             await self._write(path, _data_value("ExtensionObject", value, result is None))
 

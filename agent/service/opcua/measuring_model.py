@@ -57,8 +57,6 @@ _BLOCK: Final = f"{PERIPHERAL_ROOT}.MachineryBuildingBlocks.Identification"
 
 _TOUCH_TRIGGER: Final = 3
 """Class of a SensorType: TactileTouchTrigger."""
-_FIXED: Final = 0
-"""ToolAlignmentState: the probe sits in the spindle and is not turned or tilted."""
 _QUALIFIED: Final = 0
 """ToolIsQualifiedStatus: 0 Qualified, 1 Imprecise, 2 NotQualified."""
 _REASONS: Final = {"nightly": 0, "verify": 2, "calibrate": 1}
@@ -98,13 +96,17 @@ def _interval_ms(facts: Facts) -> MachineValue | None:
 
 def _next_calibration(facts: Facts) -> MachineValue | None:
     days = facts.settings.calibration_interval_days
-    if days is None or facts.result is None:
+    if days is None or facts.results.last_good is None:
         return None
-    return facts.result.ended + timedelta(days=days)
+    return facts.results.last_good.ended + timedelta(days=days)
 
 
 def _next_awaited(facts: Facts) -> bool:
-    return facts.settings.calibration_interval_days is not None and facts.result is None
+    return facts.settings.calibration_interval_days is not None and _no_good_result(facts)
+
+
+def _no_good_result(facts: Facts) -> bool:
+    return facts.results.last_good is None
 
 
 def _remaining_ms(facts: Facts) -> MachineValue | None:
@@ -117,7 +119,8 @@ def _runs_completed(facts: Facts) -> MachineValue | None:
 
 
 def _used_tools(facts: Facts) -> MachineValue | None:
-    return None if facts.result is None else (facts.settings.probe.serial_number or "Probe",)
+    serial_number = None if facts.result is None else facts.result.probe_serial_number
+    return None if serial_number is None else (serial_number,)
 
 
 def _plate(path: str) -> tuple[MachineVariable, ...]:
@@ -151,13 +154,14 @@ MEASURING_ADDITION: Final = Addition(
     (
         MachineVariable(f"{PROBE}.Class", "UInt32", "3: TactileTouchTrigger", lambda _: _TOUCH_TRIGGER),
         MachineVariable(
-            f"{PROBE}.Alignment", "Int32", "0: Fixed", lambda _: _FIXED,
+            f"{PROBE}.Alignment", "Int32", "no value: volcal does not read how the probe is held", lambda _: None,
             namespace=MEASURING, enumeration=3004, is_property=True,
         ),
         MachineVariable(
             f"{PROBE}.IsQualifiedStatus", "Int32",
-            "0: Qualified if the latest run that has checked the probe has qualified the stylus; otherwise no value",
-            lambda f: _QUALIFIED if f.stylus_qualified else None,
+            "0: Qualified if the latest run that has begun to check the probe has qualified the stylus; otherwise no "
+            "value",
+            lambda f: _QUALIFIED if f.results.stylus_qualified else None,
             namespace=MEASURING, enumeration=3002, is_property=True,
         ),
         MachineVariable(
@@ -186,12 +190,12 @@ MEASURING_ADDITION: Final = Addition(
             _calibrated, no_result,
         ),
         MachineVariable(
-            f"{_PROGNOSIS}.DateOfCalibration", "DateTime", "end of the last calibration",
-            lambda f: None if f.result is None else f.result.ended, no_result,
+            f"{_PROGNOSIS}.DateOfCalibration", "DateTime", "end of the last calibration whose verdict is good",
+            lambda f: None if f.results.last_good is None else f.results.last_good.ended, _no_good_result,
         ),
         MachineVariable(
             f"{_PROGNOSIS}.PredictedTime", "DateTime",
-            "next calibration: end of the last one and `opcua.calibration_interval_days`",
+            "next calibration: end of the last one whose verdict is good and `opcua.calibration_interval_days`",
             _next_calibration, _next_awaited,
         ),
         MachineVariable(
@@ -201,7 +205,9 @@ MEASURING_ADDITION: Final = Addition(
         MachineVariable(f"{_JOB}.Identifier", "String", "identity of the run", lambda f: f.status.run_id, no_run),
         MachineVariable(f"{_JOB}.NumberInList", "UInt16", "0: there is one job", lambda _: 0),
         MachineVariable(f"{_JOB}.RunsPlanned", "UInt32", "1", lambda f: None if no_run(f) else 1, no_run),
-        MachineVariable(f"{_JOB}.RunsPlanned.IsValid", "Boolean", "true", lambda _: True),
+        MachineVariable(
+            f"{_JOB}.RunsPlanned.IsValid", "Boolean", "true", lambda f: None if no_run(f) else True, no_run
+        ),
         MachineVariable(
             f"{_JOB}.RunsCompleted", "UInt32", "1 once the run has ended with a result, until then 0",
             _runs_completed, no_run,
@@ -218,7 +224,9 @@ MEASURING_ADDITION: Final = Addition(
             namespace=MEASURING, enumeration=3009, is_property=True,
         ),
         MachineVariable(
-            f"{LAST}.UsedTools", "String[]", "`opcua.probe.serial_number`, or Probe",
+            f"{LAST}.UsedTools", "String[]",
+            "`opcua.probe.serial_number` of the settings with which the run was started; no value if they do not name "
+            "it",
             _used_tools, no_result, namespace=MEASURING, is_property=True,
         ),
     ),

@@ -30,8 +30,10 @@ from drivers.foreign_errors import cause_of
 XML: Final = "{http://opcfoundation.org/UA/2011/03/UANodeSet.xsd}"
 MAX_VERSION: Final = 100
 MAX_URI: Final = 300
-MAX_BYTES: Final = 32_000_000
-"""Largest node set in bytes. The largest one that the OPC Foundation publishes is that of OPC UA itself, with 8 MB."""
+MAX_BYTES: Final = 4_000_000
+"""Largest size of all node sets together in bytes; those shipped have 1.5 MB. The time in which they are loaded grows
+faster than their size: on one core of an x86 PC 1.4 s for those shipped, 8 s for 4 MB and 20 s for 7.5 MB. A computer
+that is six times slower still opens 4 MB within `agent.service.opcua.endpoint.OPEN_TIMEOUT_S`."""
 
 DIRECTORY_KEY, FILES_KEY = "opcua.node_sets", "opcua.further_node_sets"
 DOWNLOAD: Final = "the node sets are in the repository UA-Nodeset of the OPC Foundation (docs/reference/opc-ua.md)"
@@ -58,7 +60,7 @@ NODE_SETS: Final = (
     NodeSet("OPC 40501-1 Machine Tools", MACHINE_TOOL, "1.02.0"),
     NodeSet("OPC 40001-101 Machinery Result Transfer", RESULT, "1.01.0", decode_values=True),
 )
-"""Node sets in the order in which they must be imported."""
+"""Node sets in the order in which they are imported if none of them builds on a later one."""
 
 
 @dataclass(frozen=True)
@@ -72,18 +74,23 @@ class NodeSetFile:
     required: Mapping[str, str]
     """Namespaces on which the node set builds, each with the version that it needs at least; empty if it says none."""
     key: str = DIRECTORY_KEY
+    size: int = 0
+    """Size of the file in bytes."""
 
 
 def node_sets_to_load(settings: OpcUaSettings) -> Mapping[str, NodeSetFile]:
     """Return the node sets by namespace URI, each after those on which it builds: those of the directory
     ``opcua.node_sets`` or those that are shipped, and the files ``opcua.further_node_sets``.
 
-    Raise EndpointUnavailable if the directory or a node set is missing, or if a file is damaged, too large or too old.
+    Raise EndpointUnavailable if the directory or a node set is missing, if a file is damaged or too old, or if they are
+    too large together.
     """
     with as_file(files("agent.service.opcua").joinpath("companion")) as shipped:
         found = dict(read_node_sets(settings.node_sets or shipped))
+    size = sum(file.size for file in found.values())
     for path in settings.further_node_sets:
-        one = read_node_set(path, FILES_KEY)
+        one = read_node_set(path, FILES_KEY, MAX_BYTES - size)
+        size += one.size
         former = found.setdefault(one.uri, one)
         if former is not one:
             hint = "remove one of the two from the settings"
@@ -93,8 +100,7 @@ def node_sets_to_load(settings: OpcUaSettings) -> Mapping[str, NodeSetFile]:
                 f"the namespace {one.uri} is also that of {former.path.name}",
                 file=str(path), key=FILES_KEY, hint=hint,
             )  # fmt: skip
-    needed = [found[node_set.uri] for node_set in NODE_SETS]
-    return {file.uri: file for file in (*needed, *further_node_sets(found))}
+    return {file.uri: file for file in ordered_node_sets(found)}
 
 
 def read_node_sets(directory: Path) -> Mapping[str, NodeSetFile]:
@@ -108,8 +114,10 @@ def read_node_sets(directory: Path) -> Mapping[str, NodeSetFile]:
             "the directory of the OPC UA node sets does not exist", file=str(directory), key=DIRECTORY_KEY,
             hint=f"create it and copy the node sets into it, or remove the key to use those shipped; {DOWNLOAD}",
         )  # fmt: skip
-    found = dict[str, NodeSetFile]()
-    for one in map(read_node_set, sorted(directory.glob("*.xml"))):
+    found, size = dict[str, NodeSetFile](), 0
+    for path in sorted(directory.glob("*.xml")):
+        one = read_node_set(path, max_bytes=MAX_BYTES - size)
+        size += one.size
         former = found.setdefault(one.uri, one)
         if former is not one:
             raise EndpointUnavailable(
@@ -126,18 +134,22 @@ def read_node_sets(directory: Path) -> Mapping[str, NodeSetFile]:
     return found
 
 
-def further_node_sets(found: Mapping[str, NodeSetFile]) -> list[NodeSetFile]:
-    """Return the node sets that volcal itself does not need, each after those on which it builds. Raise
-    EndpointUnavailable if one of these is missing or too old."""
-    known = {UA, *(node_set.uri for node_set in NODE_SETS)}
-    left, ordered = [file for uri, file in found.items() if uri not in known], list[NodeSetFile]()
+def ordered_node_sets(found: Mapping[str, NodeSetFile]) -> list[NodeSetFile]:
+    """Return the node sets, each after those on which it builds; otherwise those that volcal itself needs come first.
+    Raise EndpointUnavailable if one on which another one builds is missing or too old.
+
+    The version of OPC UA itself is not compared: its nodes are those that asyncua brings.
+    """
+    needed = [node_set.uri for node_set in NODE_SETS]
+    left = [found[uri] for uri in (*needed, *(uri for uri in found if uri not in needed))]
+    known, ordered = {UA}, list[NodeSetFile]()
     while left:
-        ready = [file for file in left if file.required.keys() <= known]
-        if not ready:
+        ready = next((file for file in left if file.required.keys() <= known), None)
+        if ready is None:
             raise _without_its_base(left, found)
-        ordered += ready
-        known |= {file.uri for file in ready}
-        left = [file for file in left if file not in ready]
+        ordered.append(ready)
+        known.add(ready.uri)
+        left.remove(ready)
     for file in ordered:
         for uri, version in file.required.items():
             if uri in found and _numbers(found[uri].version) < _numbers(version):
@@ -148,13 +160,16 @@ def further_node_sets(found: Mapping[str, NodeSetFile]) -> list[NodeSetFile]:
     return ordered
 
 
-def read_node_set(path: Path, key: str = DIRECTORY_KEY) -> NodeSetFile:
-    """Read a node set. Raise EndpointUnavailable if it is missing, too large or damaged, or if it is not a node set of
-    a further namespace."""
+def read_node_set(path: Path, key: str = DIRECTORY_KEY, max_bytes: int = MAX_BYTES) -> NodeSetFile:
+    """Read a node set of at most `max_bytes`, which is what is left of MAX_BYTES. Raise EndpointUnavailable if it is
+    missing, too large or damaged, or if it is not a node set of a further namespace."""
     try:
         size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise _damaged(path, f"it is larger than {MAX_BYTES // 1_000_000} MB", key)
+        if size > max_bytes:
+            raise EndpointUnavailable(
+                f"the OPC UA node sets are larger than {MAX_BYTES // 1_000_000} MB together with this one",
+                file=str(path), key=key, hint="load only the node sets that the clients of this machine need",
+            )  # fmt: skip
         root = ElementTree.parse(path).getroot()  # noqa: S314  a file that the administrator of this computer chose
     except FileNotFoundError:
         raise EndpointUnavailable(
@@ -176,8 +191,23 @@ def read_node_set(path: Path, key: str = DIRECTORY_KEY) -> NodeSetFile:
         raise _damaged(path, f"its namespace {uri} is part of the server itself", key)
     if uri not in {one.text for one in root.iterfind(f"{XML}NamespaceUris/{XML}Uri")}:
         raise _damaged(path, f"the namespace {uri} of its model is not one of its NamespaceUris", key)
-    required = {one.get("ModelUri", ""): one.get("Version", "") for one in model.iterfind(f"{XML}RequiredModel")}
-    return NodeSetFile(path, root, uri, version, required, key)
+    return NodeSetFile(path, root, uri, version, _required(path, root, uri, key), key, size)
+
+
+def _required(path: Path, root: ElementTree.Element, own: str, key: str) -> Mapping[str, str]:
+    """Return the namespaces on which the models of a node set build, each with the newest version that one needs. The
+    models beside the first, which has the namespace `own`, are in the same file."""
+    beside = {model.get("ModelUri", "") for model in root.iterfind(f"{XML}Models/{XML}Model")} - {own}
+    required = dict[str, str]()
+    for model in root.iterfind(f"{XML}Models/{XML}Model/{XML}RequiredModel"):
+        uri, version = model.get("ModelUri", ""), model.get("Version", "")
+        if not 0 < len(uri) <= MAX_URI:
+            raise _damaged(path, "a model on which it builds has no namespace, or a very long one", key)
+        if len(version) > MAX_VERSION:
+            raise _damaged(path, f"the version that it needs of {uri} is too long", key)
+        if uri not in beside:
+            required[uri] = max(required.get(uri, ""), version, key=_numbers)
+    return required
 
 
 def damaged_node_set(file: NodeSetFile, reason: object) -> EndpointUnavailable:
@@ -218,4 +248,8 @@ def _without_its_base(left: Sequence[NodeSetFile], found: Iterable[str]) -> Endp
 
 
 def _numbers(version: str) -> tuple[int, ...]:
-    return tuple(int(part) for part in version.split(".") if part.isdecimal())
+    """Return the numbers of a version without zeros at its end: 1.02 and 1.02.0 are the same version."""
+    numbers = [int(part) for part in version.split(".") if part.isdecimal()]
+    while numbers and numbers[-1] == 0:
+        numbers.pop()
+    return tuple(numbers)

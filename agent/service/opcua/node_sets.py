@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import time
 from collections.abc import Collection, Mapping
@@ -12,6 +13,7 @@ import structlog
 from asyncua import ua
 from asyncua.server.server import Server
 
+from agent.errors import EndpointUnavailable
 from agent.service.opcua.companion_types import USED_TYPES, CompanionType
 from agent.service.opcua.node_set_files import NODE_SETS, XML, NodeSetFile, damaged_node_set, node_sets_to_load
 from agent.settings.opcua import OpcUaSettings
@@ -23,11 +25,12 @@ _DECODED: Final = {one.uri: one.decode_values for one in NODE_SETS}
 """Whether the server writes values of the structures of a namespace; only of the namespaces that it needs."""
 
 
-async def load_node_sets(server: Server, settings: OpcUaSettings) -> frozenset[str]:
+async def load_node_sets(server: Server, settings: OpcUaSettings, stop: asyncio.Event) -> frozenset[str]:
     """Import the node sets that the settings name, or those that are shipped with the package. Return the URIs of their
     namespaces.
 
-    Raise EndpointUnavailable if the directory or a node set is missing, or if a file is damaged or too old.
+    Raise EndpointUnavailable if the directory or a node set is missing, if a file is damaged or too old, or if `stop`
+    is set before the last node set has been imported.
     """
     # asyncua reports peculiarities of the published files, such as nodes with two parents.
     for name in ("asyncua.common.xmlimporter", "asyncua.common.copy_node_util", "asyncua.ua.uatypes"):
@@ -35,7 +38,14 @@ async def load_node_sets(server: Server, settings: OpcUaSettings) -> frozenset[s
     begun = time.process_time()
     found = node_sets_to_load(settings)
     for file in found.values():
+        await asyncio.sleep(0)  # the loop sets `stop` here: the import itself does not give way
+        if stop.is_set():
+            raise EndpointUnavailable(
+                "the server was stopped while it was loading the node sets",
+                file=str(file.path), key=file.key, hint="start the service again",
+            )  # fmt: skip
         await _import(server, file)
+        file.root.clear()
     await require_types(server, found, USED_TYPES)
     log.info("OPC UA node sets loaded", count=len(found), cpu_s=round(time.process_time() - begun, 2))
     return frozenset(found)
@@ -44,7 +54,8 @@ async def load_node_sets(server: Server, settings: OpcUaSettings) -> frozenset[s
 async def _import(server: Server, file: NodeSetFile) -> None:
     _remove_unreadable(file.root, further=file.uri not in _DECODED)
     for model in file.root.iterfind(f"{XML}Models/{XML}Model"):
-        # They were checked by their versions; asyncua compares dates of publication, which a file need not state.
+        # They were checked by their versions, apart from that of OPC UA itself; asyncua compares dates of publication,
+        # which a file need not state.
         for required in model.findall(f"{XML}RequiredModel"):
             model.remove(required)
     ElementTree.register_namespace("", XML.strip("{}"))

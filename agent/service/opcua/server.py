@@ -54,7 +54,7 @@ class OpcUaServer:
     async def serve(self, stop: asyncio.Event, opened: Callable[[], None]) -> None:
         """Serve clients until `stop` is set, and call `opened` once the server listens. Raise ConfigurationError if the
         server cannot be opened."""
-        server, space = await self._open()
+        server, space = await self._open(stop)
         try:
             opened()
             with self._control.subscribe() as events:
@@ -62,7 +62,7 @@ class OpcUaServer:
         finally:
             await server.stop()
 
-    async def _open(self) -> tuple[Server, AddressSpace]:
+    async def _open(self, stop: asyncio.Event) -> tuple[Server, AddressSpace]:
         users = ClientAuthentication(
             self._files.token, self._files.trusted_clients, anonymous_reading=self._settings.anonymous_reading
         )
@@ -70,7 +70,7 @@ class OpcUaServer:
         server = Server(iserver=guarded)
         await server.init()
         await self._secure(server)
-        machine = MachineSpace(server, self._settings, self._files.state_directory)
+        machine = MachineSpace(server, self._settings, self._files.state_directory, stop)
         space = AddressSpace(server, guarded, self._control, machine)
         await space.build()
         await space.read_result()

@@ -78,13 +78,21 @@ export function placeOf(step) {
   return { phase, station: Number(station), azimuth, elevation, ball: ball === undefined ? null : Number(ball) };
 }
 
-/* A ball that could not be measured was rejected, unless a touch met nothing where it should be: then it was not found. */
-export const wasRejected = ({ reason }) => !/\bmet nothing\b/.test(reason ?? "");
+/* A ball that could not be measured was not found if a touch met nothing where it should be. It was rejected for any other
+   reason, such as a touch that met nothing only when it was repeated. Older journals give no reason. */
+export const wasRejected = ({ reason }) => Boolean(reason) && !/\bmet nothing\b(?! when it was repeated)/.test(reason);
+
+/* A ball that could not be measured, in words; a key without a ball is told as a place, or as it is. */
+function lostText(key, data) {
+  const ball = placeOf(key)?.ball ?? null;
+  if (ball === null) return stepWords(key) || key;
+  return say(wasRejected(data) ? "event.rejected" : "event.lost", { ball, place: stepWords(key.replace(/\/ball-.*/, "")) });
+}
 
 /* Text of an event from the catalogue if it has one, otherwise the text of the service. */
 export function eventText({ kind, text, data }) {
   if (kind === "state") return stateWord(data.state);
-  if (kind === "lost") return say(wasRejected(data) ? "event.rejected" : "event.lost", { ball: placeOf(text)?.ball ?? "", place: stepWords(text.replace(/\/ball-.*/, "")) });
+  if (kind === "lost") return lostText(text, data);
   if (kind === "alarm") return say("event.alarm", { code: data.code });
   if (kind === "outcome") return data.verdict ? verdictWord(data.verdict) : stateWord(data.state);
   return told(text);
