@@ -211,6 +211,21 @@ def test_scales_and_the_joint_prediction_of_the_line() -> None:
     assert joint.standard_uncertainty[index] < first.standard_uncertainty[index]
 
 
+def test_the_common_scale_is_that_of_the_ball_centres() -> None:
+    """The test is about what the artefact shows, and a laser that has joined does not change it."""
+    seen, artefact = measured()
+    first, joint = (
+        identify(FAMILY.model, seen, artefact, FAMILY, Options(instruments=instruments)).common_scale
+        for instruments in ((), (laser(),))
+    )
+    assert first is not None
+    assert joint is not None
+    assert joint.scale_um_per_m == pytest.approx(first.scale_um_per_m, abs=2e-3)
+    assert joint.axes_um_per_m == pytest.approx(first.axes_um_per_m, abs=2e-3)
+    assert joint.standard_uncertainty_um_per_m == pytest.approx(first.standard_uncertainty_um_per_m, rel=1e-3)
+    assert joint.false_alarm == pytest.approx(first.false_alarm, rel=1e-3)
+
+
 def test_a_wrong_laser_is_named_with_its_row_and_the_right_ballbar_is_not() -> None:
     wrong, right = check_instruments(alone(), (laser(wrong_scale=2e-5), circle()))
     assert wrong.contradicts
@@ -246,6 +261,25 @@ def test_values_of_an_earlier_report_are_parameters_with_their_uncertainty() -> 
     assert joint.standard_uncertainty[index] < 0.11e-6
     with pytest.raises(DataError, match="is no parameter"):
         estimated((stated_values("r.csv", ("EXX[9]",), ("mm",), np.zeros(1), np.ones(1), (7,)),))
+
+
+def test_the_worst_value_is_named_whatever_its_unit() -> None:
+    """A wrong squareness of 1 mrad, with a length whose variance in mm² is a million times larger."""
+    wrong = float(machine().squareness[2]) + 1e-3
+    values, noise = np.array([0.0, wrong]), np.array([20e-3, 0.1e-6])
+    (check,) = check_instruments(
+        alone(), (stated_values("r.csv", ("EXX[1]", "C0Y"), ("mm", "rad"), values, noise, (2, 3)),)
+    )
+    assert check.contradicts
+    assert (check.largest.line, check.largest.unit) == (3, "rad")
+    assert check.largest.micro[0] == pytest.approx(1000.0, rel=0.02)
+
+
+def test_a_line_begins_at_one_of_its_ends() -> None:
+    """If the first target lies inside the line, it depends on chance which end counts as the far one."""
+    points = line_points(0)[[5, 0, 11]]
+    with pytest.raises(DataError, match="lies on the other side of the first target"):
+        laser_line(exact(np.zeros(3)), points, LaserSetUp())
 
 
 def test_the_travel_of_the_test_is_that_of_the_model() -> None:

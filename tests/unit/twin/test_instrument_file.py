@@ -94,6 +94,7 @@ def test_straightness_level_and_values() -> None:
         (LASER.replace("1.5", "abc"), "'abc' is not a number (file /folder/laser.csv, row 7, column reading_um)"),
         (LASER.replace("950,300", "1950,300"), "outside the travel of X"),
         (LASER.replace("450,300", "450,320"), "mm off the line"),
+        (LASER.replace("50,300", "600,300", 1), "on the other side of the first target, 150.0 mm behind it"),
         (LASER[: LASER.index("50,300")], "no reading follows the header"),
         (LASER[: LASER.index("450,300")], "all targets are at the same place"),
         (LASER.replace("reading_um", "value_um"), "column 'reading_um' is missing"),

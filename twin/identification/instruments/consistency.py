@@ -25,7 +25,7 @@ from twin.identification.unknowns import Unknowns
 
 FALSE_ALARM = 0.01
 """Probability that any of the instruments of an estimate is taken for wrong although all are right."""
-_VISIBLE = 1e-6  # of the largest variance of a residual: below it the set-up takes up the reading
+_VISIBLE = 1e-6  # of the variance of a reading before the set-up is fitted: below it the set-up takes up the reading
 
 
 class JointEstimate(Protocol):
@@ -123,7 +123,7 @@ def _tested(estimate: JointEstimate, prepared: Sequence[_Prepared], number: int,
     fitted = lower @ white
     carried = lower @ space
     variance = np.diagonal(spread) - np.square(carried).sum(axis=1)
-    visible = variance > _VISIBLE * variance.max()
+    visible = variance > _VISIBLE * np.diagonal(spread)
     sigmas = np.divide(fitted, np.sqrt(np.maximum(variance, 1e-300)), out=np.zeros_like(fitted), where=visible)
     worst = int(np.abs(sigmas).argmax())
     unit = one.readings.unit(worst)

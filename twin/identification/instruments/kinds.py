@@ -187,4 +187,10 @@ def _line(points: ArrayLike, seen: Readings) -> tuple[Array, Array, Array]:
         message = f"this target is {off[worst]:.1f} mm off the line from the first target to the farthest one"
         line = seen.lines[worst] if seen.lines else worst + 1
         raise DataError(message, hint="give each line as a file of its own", row=line)
+    # The sign of a reading belongs to a direction: it must not depend on which end is farther from the first target.
+    if float(distance.min()) < -_OFF_LINE_MM:
+        worst = int(distance.argmin())
+        message = f"this target lies on the other side of the first target, {-distance[worst]:.1f} mm behind it"
+        hint = "begin with a target at an end of the line; readings grow from there"
+        raise DataError(message, hint=hint, row=seen.lines[worst] if seen.lines else worst + 1)
     return at, direction, distance
