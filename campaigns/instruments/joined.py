@@ -149,6 +149,7 @@ def circle_text(stand: MachineUnderTest, plane: str, seed: int) -> str:
     x, y, z = middle.tolist()
     head = [
         '# instrument = "ballbar"',
+        '# device = "ballbar"',
         '# tool = "reflector"',
         f'# plane = "{plane}"',
         f"# centre_mm = [{x}, {y}, {z}]",

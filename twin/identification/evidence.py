@@ -219,8 +219,8 @@ def deviance(
 
 
 def in_principal_axes(normal: NormalEquations, precision: PriorPrecision) -> tuple[NormalEquations, PriorPrecision]:
-    """Return the same equations, prior and direct information for unknowns in the principal axes of the stationary part of the error
-    motions and of the joint prior, in which the prior precision is diagonal."""
+    """Return the same equations, prior and direct information for unknowns in the principal axes of the stationary part
+    of the error motions and of the joint prior, in which the prior precision is diagonal."""
     series, known = precision.series, precision.known
     if series is None and known is None:
         return normal, precision

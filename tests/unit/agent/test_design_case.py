@@ -73,7 +73,7 @@ def planned_laser() -> InstrumentReadings:
 
 
 def test_planned_readings_count_in_criterion_valuation_and_search() -> None:
-    """The expected error is that of an identification with ball centres and readings; before both, it is the prior's."""
+    """The expected error is that of an identification with balls and readings; before both, it is the prior's."""
     job, plain = case(), of_s1_and_s3()
     problem = DesignProblem({"probe": job}, 45.0, set_alone, instruments=(planned_laser(),))
     grid = evaluation_grid(job.machine.model.ranges_mm, COARSE)
