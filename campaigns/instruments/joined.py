@@ -8,11 +8,11 @@ not warm up.
 
     python -m campaigns.instruments.joined --machines 30 [--generator sines] [--worse-laser]
 
-With `--worse-laser` the laser shows all lengths too long by 8 µm/m, which it does not state; the ballbar is right. The output ends with
-one line of JSON. The exit code is 1 if less than 93 % of the components of the error field lie within their 95 %
-intervals with the instruments, if more than 3 % of the instruments, which are all right, are named as contradicting, or
-if the laser does not decrease the true error that eight positions leave. With `--worse-laser` it is 1 if the wrong laser
-is joined on more than a quarter of the machines.
+With `--worse-laser` the laser shows all lengths too long by 8 µm/m, which it does not state; the ballbar is right. The
+output ends with one line of JSON. The exit code is 1 if less than 93 % of the components of the error field lie within
+their 95 % intervals with the instruments, if more than 3 % of the instruments, which are all right, are named as
+contradicting, or if the laser does not decrease the true error that eight positions leave. With `--worse-laser` it is 1
+if the wrong laser is joined on more than a quarter of the machines.
 """
 
 from __future__ import annotations

@@ -67,7 +67,7 @@ def planned_laser() -> InstrumentReadings:
     job = case()
     ranges = np.array(job.machine.model.ranges_mm)
     points = np.tile(ranges.mean(axis=1), (12, 1))
-    points[:, 0] = np.linspace(*ranges[0], 12)
+    points[:, 0] = np.linspace(ranges[0, 0], ranges[0, 1], 12)
     seen = Readings("laser.csv", np.zeros(12), np.full(12, 0.3e-3), job.tool_offset_mm)
     return laser_line(seen, points, LaserSetUp(0.3))
 

@@ -66,7 +66,7 @@ def test_readings_of_an_instrument_count() -> None:
     job = bridge()
     ranges = np.array(job.machine.model.ranges_mm)
     points = np.tile(ranges.mean(axis=1), (10, 1))
-    points[:, 0] = np.linspace(*ranges[0], 10)
+    points[:, 0] = np.linspace(ranges[0, 0], ranges[0, 1], 10)
     seen = Readings("laser.csv", np.zeros(10), np.full(10, 0.2e-3), job.tool_offset_mm)
     laser = laser_line(seen, points, LaserSetUp(0.1))
     given = search()
