@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup run test quick long-forms check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming foreign instruments linuxcnc grbl faults endurance crash-points power-cuts requests fuzz fuzz-guided http-interface gcode part-programs schema reference figures audit wheel deb deb-test sbom reproducible release clean
+.PHONY: setup run test quick long-forms check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming foreign instruments joined-instruments linuxcnc grbl faults endurance crash-points power-cuts requests fuzz fuzz-guided http-interface gcode part-programs schema reference figures audit wheel deb deb-test sbom reproducible release clean
 
 setup: $(STAMP)
 
@@ -116,6 +116,13 @@ foreign: setup
 # minutes of CPU time; ends with one line of JSON.
 instruments: setup
 	$(BIN)/python -m campaigns.instruments
+
+# Readings of a laser and a ballbar in one estimate with the ball centres, right and wrong ones, on machines that share no
+# code with the program; and what a laser is worth beside few positions. Ten minutes of CPU time.
+joined-instruments: setup
+	$(BIN)/python -m campaigns.instruments.joined --machines 24 --generator mixed
+	$(BIN)/python -m campaigns.instruments.joined --machines 24 --generator mixed --worse-laser
+	$(BIN)/python -m campaigns.instruments.worth
 
 # A whole calibration over a serial line with a simulated GRBL and grblHAL, disturbed at random instants: holds, resets,
 # alarms, cables unplugged and replugged. Half an hour on two busy cores; ends with one line of JSON.

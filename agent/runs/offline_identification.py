@@ -52,6 +52,7 @@ from twin.identification import Options, process_noise
 from twin.identification.checks.measured_shape import check_shape
 from twin.identification.identify import accepted_rows
 from twin.identification.order import ORDERS
+from twin.machine.error_model import ErrorModel
 from twin.machine.machine_description import MachineDescription
 from twin.monitoring.night_fit import NightFit, compare_with_nights_before
 from twin.units import MM_PER_UM, UM_PER_MM
@@ -272,6 +273,7 @@ def _after_earlier_night(
     text = read_text(path)
     with translated(InputError, file=str(path)):
         known = parse_estimate(text, str(path)).carried_over()
+        _check_same_beams(machine.model, known.unknowns.model, str(request.machine))
         family = machine.with_model(known.unknowns.model).family
         noise = process_noise(family, MM_PER_UM * request.process_noise_um, machine.tool(material.tool))
     known = known if balls.temperature_was_read else known.for_another_thermometer()
@@ -289,6 +291,16 @@ def _after_earlier_night(
             night_false_alarm=request.gates.night_false_alarm,
         )
     return replace(material, options=replace(options, carried_over=night.prior), night=night)
+
+
+def _check_same_beams(nominal: ErrorModel, earlier: ErrorModel, machine: str) -> None:
+    """Raise DataError if the cross-effect or the beams of the machine file are not those of the earlier estimate, whose
+    model would replace them."""
+    if (nominal.cross_effect, nominal.structure) != (earlier.cross_effect, earlier.structure):
+        raise DataError(
+            f"the cross-effect or the beams of the machine in {machine} have been changed since this estimate",
+            hint="identify without --carried-over once, or use the machine file of that estimate",
+        )
 
 
 def _gated(material: IdentificationInput, request: IdentificationRequest) -> tuple[EstimationResult, tuple[Gate, ...]]:
@@ -374,7 +386,7 @@ def _provenance(result: IdentificationResult, request: IdentificationRequest) ->
         "time": result.timestamp,
         "software": f"volcal {version('volcal')}",
         "balls": request.balls.name,
-        **({"instruments": ", ".join(path.name for path in request.instruments)} if request.instruments else {}),
+        **_instruments_entry("instruments", result),
         "machine": request.machine.name,
         "artefact": request.artefact.name,
         "certificate": result.material.artefact.certificate,
@@ -383,6 +395,13 @@ def _provenance(result: IdentificationResult, request: IdentificationRequest) ->
         "order": "carried over" if request.carried_over is not None else str(request.order),
         "table_tool": result.material.tool,
     }
+
+
+def _instruments_entry(key: str, result: IdentificationResult) -> dict[str, str]:
+    """Return an entry with the names of the instruments, and which of them were not used; none without instruments."""
+    checks = result.estimation.estimate.instruments
+    names = ", ".join(check.name if check.joined else f"{check.name} (not used)" for check in checks)
+    return {key: names} if checks else {}
 
 
 def _prior_text(request: IdentificationRequest, night: NightFit | None) -> str:
@@ -399,7 +418,7 @@ def _report_data(result: IdentificationResult, request: IdentificationRequest, c
         "Weights": "full covariances" if options.weights == "full" else "all alike",
         "Legendre order": order_text(estimation.estimate),
         "Ball centres from": request.balls.name,
-        **({"Instruments": ", ".join(path.name for path in request.instruments)} if request.instruments else {}),
+        **_instruments_entry("Instruments", result),
     }
     header = Header(
         title="Identification from files",

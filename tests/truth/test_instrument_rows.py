@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -14,6 +15,7 @@ from campaigns.foreign.score import family_of
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.errors import DataError
+from twin.formats.estimate_file import format_estimate, parse_estimate
 from twin.identification import Estimate, Options, identify
 from twin.identification.instruments.consistency import check_instruments, identify_with_instruments
 from twin.identification.instruments.kinds import (
@@ -28,7 +30,7 @@ from twin.identification.instruments.kinds import (
     straightness_line,
 )
 from twin.identification.instruments.readings import InstrumentReadings
-from twin.identification.instruments.rows import reading_covariance, reading_rows
+from twin.identification.instruments.rows import direct_information, reading_covariance, reading_rows
 from twin.identification.unknowns import Unknowns
 
 ORDER = 3
@@ -211,6 +213,21 @@ def test_scales_and_the_joint_prediction_of_the_line() -> None:
     assert joint.standard_uncertainty[index] < first.standard_uncertainty[index]
 
 
+def test_the_common_scale_is_that_of_the_ball_centres() -> None:
+    """The test is about what the artefact shows, and a laser that has joined does not change it."""
+    seen, artefact = measured()
+    first, joint = (
+        identify(FAMILY.model, seen, artefact, FAMILY, Options(instruments=instruments)).common_scale
+        for instruments in ((), (laser(),))
+    )
+    assert first is not None
+    assert joint is not None
+    assert joint.scale_um_per_m == pytest.approx(first.scale_um_per_m, abs=2e-3)
+    assert joint.axes_um_per_m == pytest.approx(first.axes_um_per_m, abs=2e-3)
+    assert joint.standard_uncertainty_um_per_m == pytest.approx(first.standard_uncertainty_um_per_m, rel=1e-3)
+    assert joint.false_alarm == pytest.approx(first.false_alarm, rel=1e-3)
+
+
 def test_a_wrong_laser_is_named_with_its_row_and_the_right_ballbar_is_not() -> None:
     wrong, right = check_instruments(alone(), (laser(wrong_scale=2e-5), circle()))
     assert wrong.contradicts
@@ -246,6 +263,109 @@ def test_values_of_an_earlier_report_are_parameters_with_their_uncertainty() -> 
     assert joint.standard_uncertainty[index] < 0.11e-6
     with pytest.raises(DataError, match="is no parameter"):
         estimated((stated_values("r.csv", ("EXX[9]",), ("mm",), np.zeros(1), np.ones(1), (7,)),))
+
+
+def lines_of_one_laser(wrong_scale: float, device: str | None = "laser 1") -> tuple[InstrumentReadings, ...]:
+    """Return lines along X, Y and Z, all with the same error of scale."""
+    found = []
+    for axis, name in enumerate("xyz"):
+        points = line_points(axis)
+        shown = machine().deviation(points)[:, axis] + wrong_scale * points[:, axis]
+        shown = shown + np.random.default_rng(9 + axis).normal(0.0, 0.05e-3, len(points))
+        seen = Readings(f"{name}.csv", shown, np.full(len(points), 0.05e-3), TOOL, device=device)
+        found.append(laser_line(seen, points, LaserSetUp(scale_um_per_m=0.5)).with_unresolved(0.0))
+    return tuple(found)
+
+
+@pytest.mark.parametrize(("device", "expected"), [("laser 1", 0.5), (None, 0.5 / 3**0.5)])
+def test_lines_of_one_laser_do_not_average_its_scale(device: str | None, expected: float) -> None:
+    """Standard uncertainty in µm/m of the mean slope of three axes, from the lines alone."""
+    unknowns = alone().unknowns
+    direct = direct_information(lines_of_one_laser(0.0, device), unknowns)
+    assert direct is not None
+    columns = [unknowns.model.index(f"E{axis}{axis}[1]") for axis in "XYZ"]
+    slopes = 2e6 / (HIGH - LOW) * unknowns.scale[columns]
+    rows = direct.rows[:, columns] / slopes
+    covariance = np.linalg.inv(rows.T @ rows)
+    assert np.sqrt(covariance.mean()) == pytest.approx(expected, rel=0.05)
+
+
+def test_all_lines_of_one_wrong_laser_are_named_and_one_within_its_scale_is_not() -> None:
+    """The other lines of the same laser do not explain its error away."""
+    assert [check.contradicts for check in check_instruments(alone(), lines_of_one_laser(2e-5))] == [True] * 3
+    assert [check.contradicts for check in check_instruments(alone(), lines_of_one_laser(0.5e-6))] == [False] * 3
+    x, y, z = lines_of_one_laser(0.0)
+    again = replace(x, name="again.csv", readings=x.readings + 3e-6 * x.points[:, 0])
+    odd = check_instruments(alone(), (x, y, z, again))
+    assert [check.name for check in odd if check.contradicts] in (["x.csv"], ["again.csv"])
+
+
+def test_a_device_is_of_one_kind() -> None:
+    one, other = (replace(each, device="device 1") for each in (laser(), circle()))
+    with pytest.raises(DataError, match=r"laser.csv \(laser\) and ballbar.csv \(ballbar\) name the same device"):
+        Options(instruments=(one, other))
+
+
+def test_readings_do_not_count_again_in_the_next_night() -> None:
+    """Not from the estimate, nor from its file, nor after a night without instruments; new readings do."""
+    joint = estimated((laser(),))
+    stored = parse_estimate(format_estimate(joint, {}), "estimate.json").carried_over()
+    seen, artefact = measured()
+    later = identify(FAMILY.model, seen, artefact, FAMILY, Options(carried_over=stored, outliers="none"))
+    for known in (joint.carried_over(), stored, later.carried_over()):
+        for name in ("laser.csv", "renamed.csv"):
+            again = replace(laser(name=name), noise=laser().noise * 2.0)
+            with pytest.raises(DataError, match=f"the readings of {name} are already part of the earlier estimate"):
+                Options(carried_over=known, instruments=(again,))
+        assert Options(carried_over=known, instruments=(circle(), laser(1e-7))).carried_over is known
+    assert alone().carried_over().joined_readings == ()
+
+
+def test_the_bad_uncertainty_is_named_by_its_row() -> None:
+    noise = np.full(12, 1e-3)
+    noise[7] = 0.0
+    with pytest.raises(DataError, match="row 13"):
+        laser_line(Readings("l.csv", np.zeros(12), noise, TOOL, tuple(range(6, 18))), line_points(0), LaserSetUp())
+
+
+def test_a_set_up_that_is_not_determined_twice_counts_once() -> None:
+    """At two angles that differ by half a turn, the two coordinates of the centre of a circle are one unknown."""
+    angles = np.array([0.25, 1.25]) * np.pi
+    seen = Readings("b.csv", np.zeros(2), np.full(2, 1e-4), TOOL)
+    assert ballbar_circle(seen, MIDDLE, 150.0, (0, 1), angles, BallbarSetUp()).size == 2
+
+
+def test_the_rank_counts_the_readings() -> None:
+    """Two positions of the bar, and a report that states what it does not show."""
+    seen, artefact = measured()
+    few = seen.select(seen.position < seen.position.min() + 2)
+    options = Options(estimate_scales=False, outliers="none")
+    first = identify(FAMILY.model, few, artefact, FAMILY, options)
+    names = ("EXX[1]", "EYY[2]", "C0Y")
+    stated = stated_values("r.csv", names, ("mm", "mm", "rad"), np.zeros(3), np.array([1e-4, 1e-4, 1e-7]), (2, 3, 4))
+    joint = identify(FAMILY.model, few, artefact, FAMILY, replace(options, instruments=(stated,)))
+    assert joint.rank == first.rank + 3
+    for null in joint.null_directions:
+        assert all(abs(null.loadings.get(name, 0.0)) < 1e-6 for name in names)
+
+
+def test_the_worst_value_is_named_whatever_its_unit() -> None:
+    """A wrong squareness of 1 mrad, with a length whose variance in mm² is a million times larger."""
+    wrong = float(machine().squareness[2]) + 1e-3
+    values, noise = np.array([0.0, wrong]), np.array([20e-3, 0.1e-6])
+    (check,) = check_instruments(
+        alone(), (stated_values("r.csv", ("EXX[1]", "C0Y"), ("mm", "rad"), values, noise, (2, 3)),)
+    )
+    assert check.contradicts
+    assert (check.largest.line, check.largest.unit) == (3, "rad")
+    assert check.largest.micro[0] == pytest.approx(1000.0, rel=0.02)
+
+
+def test_a_line_begins_at_one_of_its_ends() -> None:
+    """If the first target lies inside the line, it depends on chance which end counts as the far one."""
+    points = line_points(0)[[5, 0, 11]]
+    with pytest.raises(DataError, match="lies on the other side of the first target"):
+        laser_line(exact(np.zeros(3)), points, LaserSetUp())
 
 
 def test_the_travel_of_the_test_is_that_of_the_model() -> None:

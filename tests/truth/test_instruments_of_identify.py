@@ -6,11 +6,15 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 from foreign_files import Folder, rows_of
 
+from agent.runs.offline_identification import IdentificationRequest, read_material
 from campaigns.foreign.artefact import STATIONS_MM, measure_at, tilted_bar
 from campaigns.foreign.machine import TOOL, ForeignMachine, foreign_machine
+from drivers.errors import ConfigurationError, InputError
 from twin.formats.estimate_file import parse_estimate
+from twin.identification import Options
 
 LINE = np.stack((np.linspace(100.0, 3900.0, 14), np.full(14, 650.0), np.full(14, 700.0)), axis=1)
 FIRST_ROW = 6
@@ -47,11 +51,28 @@ def test_right_and_wrong_lasers_of_one_identification(tmp_path: Path) -> None:
     assert abs(wrong["largest"]["sigmas"]) > 4.0
     stored = parse_estimate((folder.out / "estimate.json").read_text(), "estimate.json")
     assert [check.name for check in stored.instruments if check.joined] == ["right.csv"]
+    assert stored.document.provenance["instruments"] == "wrong.csv (not used), right.csv"
     page = (folder.out / "report.html").read_text()
+    assert "wrong.csv (not used), right.csv" in page
     assert "Readings of other instruments" in page
     size = wrong["largest"]
     assert f"row {size['row']}: {abs(size['sigmas']):.1f} sigma, {size['size']:.1f} µm" in page
     assert "wrong.csv (laser) contradicts the ball centres and the other instruments" in page
+    check_what_the_next_night_refuses(tmp_path, folder.out / "estimate.json")
+
+
+def check_what_the_next_night_refuses(path: Path, estimate: Path) -> None:
+    """Readings that the earlier estimate contains already, and a machine with another cross-effect."""
+    machine = path / "machine.toml"
+    files = (path / "balls.csv", machine, path / "bar.toml", path / "next", Options())
+    with pytest.raises(ConfigurationError, match=r"the readings of right.csv are already part of the earlier estimate"):
+        read_material(IdentificationRequest(*files, carried_over=estimate, instruments=(path / "right.csv",)))
+    unused = IdentificationRequest(*files, carried_over=estimate, instruments=(path / "wrong.csv",))
+    assert [one.name for one in read_material(unused).options.instruments] == ["wrong.csv"]
+    machine.write_text(machine.read_text().replace("[model.family]", "[model]\ncross_effect = false\n[model.family]"))
+    with pytest.raises(InputError, match=r"the cross-effect or the beams of the machine in .*machine.toml") as caught:
+        read_material(IdentificationRequest(*files, carried_over=estimate))
+    assert "estimate.json" in str(caught.value)
 
 
 def test_a_file_that_cannot_be_used_is_named_with_row_and_column(tmp_path: Path) -> None:
@@ -66,6 +87,8 @@ def test_a_file_that_cannot_be_used_is_named_with_row_and_column(tmp_path: Path)
     assert "laser.csv" in done.output
     assert "row 6" in done.output
     assert "z_mm" in done.output
+    path.write_text(laser_text(machine, 0.0))
     twice = folder.run(bar, rows_of(seen), "--instrument", str(path), "--instrument", str(path))
     assert twice.exit_code == 2
+    assert "a second file of an instrument has the same name" in twice.output
     assert not folder.out.exists()

@@ -85,7 +85,7 @@ class StationPlaces:
             return math.inf
         problem = self._problem(procedure)
         matrix = CentreEquations.build(problem, unit_weights=False).matrix
-        precision = PriorPrecision(problem.blocks, problem.known)
+        precision = PriorPrecision(problem.blocks, problem.known, direct=problem.direct)
         return self._form.expected(Posterior.of(matrix, precision, Scales()).covariance).aligned_mm
 
     def _problem(self, procedure: Procedure) -> IdentificationProblem:

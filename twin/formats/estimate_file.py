@@ -340,7 +340,8 @@ class StoredEstimate(Displayed):
         scales = self.document.scales.scales
         factor = DriftFactor(**self.document.carried_over.drift_factor.model_dump())
         freedom = self.document.degrees_of_freedom
-        return CarriedOverPrior(self.unknowns, self.z, self.z_covariance, scales, factor, freedom, self.trend)
+        joined = self.document.carried_over.joined_readings
+        return CarriedOverPrior(self.unknowns, self.z, self.z_covariance, scales, factor, freedom, self.trend, joined)
 
 
 def format_estimate(
@@ -390,9 +391,12 @@ def format_estimate(
         **({"instruments": instrument_documents(estimate.instruments)} if estimate.instruments else {}),
         "artefact_calibration": calibration_document(estimate.artefact_calibration),
         "volumetric": None if volumetric is None else volumetric.model_dump(),
-        "carried_over": carried_over_document(
-            estimate.unknowns, estimate.z, estimate.z_covariance, estimate.drift_factor, estimate.trend
-        ),
+        "carried_over": {
+            **carried_over_document(
+                estimate.unknowns, estimate.z, estimate.z_covariance, estimate.drift_factor, estimate.trend
+            ),
+            **({"joined_readings": list(estimate.joined_readings)} if estimate.joined_readings else {}),
+        },
     }
     return _text(document) + "\n"
 

@@ -49,11 +49,13 @@ _RAD_PER_URAD = 1e-6
 Uncertainty = Annotated[float, Field(ge=0.0)]
 Noise = Annotated[float, Field(gt=0.0)]
 Triple = tuple[float, float, float]
+Device = Annotated[str | None, Field(min_length=1, max_length=80)]
 
 
 class _Head(StrictModel):
     tool: str | None = None
     tool_offset_mm: Triple | None = None
+    device: Device = None
 
 
 class _LaserHead(_Head):
@@ -82,6 +84,7 @@ class _BallbarHead(_Head):
 class _LevelHead(StrictModel):
     about: Literal["X", "Y", "Z"]
     sigma_urad: Noise | None = None
+    device: Device = None
     scale_percent: Uncertainty = 0.5
 
 
@@ -143,6 +146,7 @@ def _readings(
         case _LevelHead():
             rows = _rows(body, source, (*COORDINATES, "reading_urad"), ("sigma_urad",), skipped)
             seen = _seen(rows, name, "urad", _RAD_PER_URAD, head.sigma_urad, np.zeros(3))
+            seen = replace(seen, device=head.device)
             return level_readings(seen, _points(rows, machine), _direction(head.about), head.scale_percent)
         case _BallbarHead():
             rows = _rows(body, source, ("angle_deg", "reading_um"), ("sigma_um",), skipped)
@@ -150,6 +154,7 @@ def _readings(
         case _LaserHead() | _StraightnessHead():
             rows = _rows(body, source, (*COORDINATES, "reading_um"), ("sigma_um",), skipped)
             seen = _seen(rows, name, "um", MM_PER_UM, head.sigma_um, _offset(head, machine, source))
+            seen = replace(seen, device=head.device)
             points = _points(rows, machine)
             if isinstance(head, _LaserHead):
                 return laser_line(seen, points, LaserSetUp(head.scale_um_per_m, head.drift_um))
@@ -202,15 +207,12 @@ def _circle(
     head: _BallbarHead, rows: Sequence[CsvRow], name: str, machine: InstrumentMachine, source: str
 ) -> InstrumentReadings:
     seen = _seen(rows, name, "um", MM_PER_UM, head.sigma_um, _offset(head, machine, source))
+    seen = replace(seen, device=head.device)
     axes = AXES.index(head.plane[0]), AXES.index(head.plane[1])
-    for axis in axes:
-        low, high = machine.travel[axis]
-        if (
-            not low - _BEYOND_MM
-            <= head.centre_mm[axis] - head.radius_mm
-            <= head.centre_mm[axis] + head.radius_mm
-            <= (high + _BEYOND_MM)
-        ):
+    for axis, (low, high) in enumerate(machine.travel):
+        reach = head.radius_mm if axis in axes else 0.0
+        middle = head.centre_mm[axis]
+        if not low - _BEYOND_MM <= middle - reach <= middle + reach <= high + _BEYOND_MM:
             message = f"the circle leaves the travel of {AXES[axis]}, {low:g} to {high:g} mm"
             raise FormatError(message, hint="State the centre as an axis position", file=source, key="centre_mm")
     angles = np.radians([row.parse_float("angle_deg") for row in rows])
@@ -244,6 +246,10 @@ def _values(rows: Sequence[CsvRow], name: str, model: ErrorModel) -> InstrumentR
 
 def _offset(head: _Head, machine: InstrumentMachine, source: str) -> Array:
     if head.tool_offset_mm is not None:
+        if head.tool is not None:
+            hint = "remove one of the two lines"
+            message = "tool and tool_offset_mm both say where the reflector or ball is"
+            raise FormatError(message, hint=hint, file=source, key="tool")
         return np.array(head.tool_offset_mm)
     known = ", ".join(machine.tools)
     if head.tool is None:

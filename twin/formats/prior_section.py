@@ -76,7 +76,8 @@ class CarriedOverSection(StrictModel):
     `mean` and `covariance` are in units of the prior standard deviations. Only the lower triangle of the covariance is
     stored, row by row. `scale` contains the unit of each parameter in mm or rad. `drift_factor` and `trend` are absent
     if no night has told anything about the drift yet. `stated_noise_mm2` is the stated variance in mm² of one
-    coordinate of a measured ball centre.
+    coordinate of a measured ball centre. `joined_readings` are the checksums of readings of other instruments that are
+    part of the estimate.
     """
 
     scale: Row
@@ -87,6 +88,7 @@ class CarriedOverSection(StrictModel):
     drift_factor: DriftFactorSection = DriftFactorSection(**vars(DriftFactor()))
     stated_noise_mm2: float = Field(default=0.0, ge=0.0)
     trend: DriftTrendSection = DriftTrendSection()
+    joined_readings: tuple[str, ...] = ()
 
 
 def carried_over_document(

@@ -92,7 +92,8 @@ class Estimate(Displayed):
     `shifts` are the shifts of the balls, such as lost motion of an axis, that were estimated with the errors of the
     machine because the measurements show them. `common_scale` is the result of the test of the scale that all axes have
     in common; None likewise, or if an estimate was carried over. `instruments` contains the result of the test of each
-    other instrument, and whether its readings are part of the estimate.
+    other instrument, and whether its readings are part of the estimate. `joined_readings` are the checksums of all
+    readings of other instruments in this estimate and in those that it was carried over from.
     """
 
     model: ErrorModel
@@ -121,6 +122,7 @@ class Estimate(Displayed):
     shifts: tuple[EstimatedShift, ...] = ()
     common_scale: CommonScale | None = None
     instruments: tuple[InstrumentCheck, ...] = ()
+    joined_readings: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return (
@@ -142,6 +144,7 @@ class Estimate(Displayed):
             self.drift_factor,
             self.degrees_of_freedom,
             self.trend,
+            self.joined_readings,
         )
         return known if process_noise is None else known.after(process_noise, nights)
 

@@ -219,8 +219,8 @@ def deviance(
 
 
 def in_principal_axes(normal: NormalEquations, precision: PriorPrecision) -> tuple[NormalEquations, PriorPrecision]:
-    """Return the same equations and prior for unknowns in the principal axes of the stationary part of the error
-    motions and of the joint prior, in which the prior precision is diagonal."""
+    """Return the same equations, prior and direct information for unknowns in the principal axes of the stationary part
+    of the error motions and of the joint prior, in which the prior precision is diagonal."""
     series, known = precision.series, precision.known
     if series is None and known is None:
         return normal, precision
@@ -232,4 +232,6 @@ def in_principal_axes(normal: NormalEquations, precision: PriorPrecision) -> tup
         known, axes = known.in_principal_axes()
         rotation[:, known.members] = rotation[:, known.members] @ axes
     turned = replace(normal, matrix=rotation.T @ normal.matrix @ rotation, right=rotation.T @ normal.right)
-    return turned, replace(precision, series=None, principal=principal, known=known)
+    direct = precision.direct
+    direct = None if direct is None else replace(direct, rows=direct.rows @ rotation)
+    return turned, replace(precision, series=None, principal=principal, known=known, direct=direct)

@@ -312,7 +312,7 @@ def _estimate(selection: _RowSelection, options: Options) -> Estimate:
         scales=solution.scales,
         tool_offsets=seen.used_tool_offsets,
         misfit=Misfit.of(whole.unknowns, z, covariance, _unresolved_mm2(whole.unknowns, solution)),
-        information=solution.equations.matrix[block, block],
+        information=_information(solution, block),
         unknowns=replace(unknowns, drift=None, shifts=()),
         z=z,
         z_covariance=covariance,
@@ -327,6 +327,10 @@ def _estimate(selection: _RowSelection, options: Options) -> Estimate:
         pattern=findings.pattern,
         shifts=findings.shifts,
         common_scale=findings.common_scale,
+        joined_readings=(
+            *(() if options.carried_over is None else options.carried_over.joined_readings),
+            *(one.checksum for one in options.instruments),
+        ),
     )
 
 
@@ -366,6 +370,16 @@ def _findings(selection: _RowSelection, solution: Solution, options: Options) ->
     tool_offset = seen.tool_offsets[np.bincount(seen.tool).argmax()]
     step = step_in_run(solution, residuals, selection.measured, tool_offset)
     return _Findings(step, selection.pattern, scale, shifts)
+
+
+def _information(solution: Solution, block: slice) -> Array:
+    """Return the information matrix of the ball centres about the unknowns in `block`, in units of their noise, with
+    that of the readings of other instruments."""
+    matrix, direct = solution.equations.matrix[block, block], solution.precision.direct
+    if direct is None:
+        return matrix
+    rows = solution.scales.noise * direct.rows[:, block]
+    return np.asarray(matrix + rows.T @ rows)
 
 
 def _is_strange(solution: Solution) -> bool:

@@ -7,7 +7,7 @@ from typing import Literal
 
 from twin.arrays import Array
 from twin.errors import DataError
-from twin.identification.instruments.readings import InstrumentReadings
+from twin.identification.instruments.readings import InstrumentReadings, shared_errors
 from twin.identification.prior_from_estimate import CarriedOverPrior
 from twin.identification.scales import Scales
 from twin.thermal.models import ThermalModel
@@ -108,6 +108,14 @@ class Options:
                 "readings of instruments are joined by their covariances",
                 hint="switch the prior on and use full weights, or omit the instruments",
             )
+        shared_errors(self.instruments)  # refuses a device of two kinds
+        if self.carried_over is not None:
+            for one in self.instruments:
+                if one.checksum in self.carried_over.joined_readings:
+                    raise DataError(
+                        f"the readings of {one.name} are already part of the earlier estimate",
+                        hint="give an instrument again only if it has taken new readings",
+                    )
 
     def _check_cut_off(self, cut_off: float) -> None:
         if not 0.0 < cut_off < 1.0:

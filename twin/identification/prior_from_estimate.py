@@ -53,7 +53,8 @@ class CarriedOverPrior:
     `mean` (P,) and `covariance` (P, P) of z are in the units of `unknowns`. `scales` are the factors on the standard
     deviations of noise, prior and misfit in the earlier estimate. `drift_factor` is the factor on the process noise, as
     learned from the nights until then. `degrees_of_freedom` are those from which the scale of the noise was estimated.
-    `trend` is the knowledge about errors that drift in one direction.
+    `trend` is the knowledge about errors that drift in one direction. `joined_readings` are the checksums of readings
+    of other instruments that are part of the earlier estimate.
     Raises DataError, which names the unknown, if the covariance is singular or invalid.
     """
 
@@ -64,6 +65,7 @@ class CarriedOverPrior:
     drift_factor: DriftFactor = DriftFactor()
     degrees_of_freedom: float = math.inf
     trend: DriftTrend = field(default_factory=DriftTrend)
+    joined_readings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         size = self.unknowns.blocks.size

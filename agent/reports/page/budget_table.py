@@ -15,7 +15,7 @@ from twin.arrays import Array
 from twin.identification.predicted import field_forms
 from twin.machine.error_model import SQUARENESS
 from twin.machine.volumetric import evaluation_grid
-from twin.uncertainty.posterior_budget import INFLUENCES, PosteriorBudget, posterior_budget
+from twin.uncertainty.posterior_budget import CENTRES, CENTRES_AND_PRIOR, INFLUENCES, PosteriorBudget, posterior_budget
 from twin.units import UM_PER_MM
 
 RANGES = ("EXX", "EYY", "EZZ")
@@ -44,9 +44,16 @@ def budget_table(identification: IdentificationData, tool_offset: Array, t: Text
             gradient[model.index(name)] = 1.0
             columns[f"U({name}) / µrad"] = _expanded(budget, _padded(gradient, budget), 1e6)
     shown = [name for name in INFLUENCES if any(column.get(name, 0.0) >= 0.005 for column in columns.values())]
-    rows = [(t[f"influence {name}"], *(_cell(column, name) for column in columns.values())) for name in shown]
+    joined = any(check.joined for check in estimate.instruments)
+    rows = [(t[_influence(name, joined)], *(_cell(column, name) for column in columns.values())) for name in shown]
     rows.append((t["combined"], *(fixed(float(np.hypot.reduce([*c.values()])), 2) for c in columns.values())))
     return Table((t["influence"], *columns), tuple(rows), tuple(columns))
+
+
+def _influence(name: str, joined: bool) -> str:
+    """Return the key of the text of an influence. The noise of joined instruments is in the same row as that of the
+    ball centres."""
+    return f"influence {name}, joined" if joined and name in (CENTRES, CENTRES_AND_PRIOR) else f"influence {name}"
 
 
 def _in_um(values: Mapping[str, float]) -> dict[str, float]:

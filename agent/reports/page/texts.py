@@ -192,6 +192,8 @@ ENGLISH: Texts = {
     "combined": "combined",
     "influence centres": "ball centres (touches, drift within the run)",
     "influence centres and prior": "ball centres and earlier knowledge",
+    "influence centres, joined": "ball centres and other instruments",
+    "influence centres and prior, joined": "ball centres, other instruments and earlier knowledge",
     "influence certificate": "certificate of the artefact",
     "influence temperature": "temperature of the artefact",
     "influence expansion": "expansion coefficient of the artefact",

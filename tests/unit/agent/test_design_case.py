@@ -26,6 +26,8 @@ from twin.design.measurement_setup import AS_STATED
 from twin.design.search import ExchangeSearch
 from twin.design.valuation import valuation
 from twin.identification import identify, predicted_vce
+from twin.identification.instruments.kinds import LaserSetUp, Readings, laser_line
+from twin.identification.instruments.readings import InstrumentReadings
 from twin.machine.volumetric import evaluation_grid
 
 COARSE = (9, 5, 5)
@@ -58,6 +60,43 @@ def predicted(positions: tuple[Position, ...]) -> tuple[float, float]:
     estimate = identify(job.machine.model, seen, job.artefact, job.machine.family, AS_STATED)
     vce = predicted_vce(estimate, evaluation_grid(job.machine.model.ranges_mm, COARSE), job.tool_offset_mm)
     return vce.raw_mm, vce.aligned_mm
+
+
+def planned_laser() -> InstrumentReadings:
+    """Return planned readings along X, as `volcal design --instrument` reads them; their values do not matter."""
+    job = case()
+    ranges = np.array(job.machine.model.ranges_mm)
+    points = np.tile(ranges.mean(axis=1), (12, 1))
+    points[:, 0] = np.linspace(ranges[0, 0], ranges[0, 1], 12)
+    seen = Readings("laser.csv", np.zeros(12), np.full(12, 0.3e-3), job.tool_offset_mm)
+    return laser_line(seen, points, LaserSetUp(0.3))
+
+
+def test_planned_readings_count_in_criterion_valuation_and_search() -> None:
+    """The expected error is that of an identification with balls and readings; before both, it is the prior's."""
+    job, plain = case(), of_s1_and_s3()
+    problem = DesignProblem({"probe": job}, 45.0, set_alone, instruments=(planned_laser(),))
+    grid = evaluation_grid(job.machine.model.ranges_mm, COARSE)
+    family, options = job.machine.family, replace(AS_STATED, instruments=problem.instruments)
+    offered = build_candidates(job.procedure, plain.positions, family, options, grid, job.tool_offset_mm)
+    assert offered.before.aligned_mm == pytest.approx(plain.before.aligned_mm, rel=1e-6)
+    chosen = (3, 11, 20)
+    positions = tuple(plain.positions[index] for index in chosen)
+    seen = job.procedure.plan(positions).observations
+    estimate = identify(job.machine.model, seen, job.artefact, family, options)
+    expected = predicted_vce(estimate, grid, job.tool_offset_mm).aligned_mm
+    assert offered.vce(chosen).aligned_mm == pytest.approx(expected, rel=1e-6)
+    valued = valuation(family, job.artefact, seen, options, grid, job.tool_offset_mm)
+    assert valued.before.aligned_mm == pytest.approx(plain.before.aligned_mm, rel=1e-6)
+    assert valued.after.aligned_mm == pytest.approx(expected, rel=1e-6)
+    best = PositionCountGoal(3).select(search_among(problem, offered))
+    assert (
+        offered.vce(best).aligned_mm
+        <= offered.vce(PositionCountGoal(3).select(search_among(problem, plain))).aligned_mm
+    )
+    assert offered.vce(best).aligned_mm < 0.99 * plain.vce(best).aligned_mm
+    assert problem.options.instruments == problem.instruments
+    assert problem.with_places(job.layout.locations_mm).instruments == problem.instruments
 
 
 @pytest.mark.parametrize("chosen", [(0, 9), (3, 4, 11, 20), tuple(range(32))])

@@ -46,6 +46,7 @@ from twin.compensation.table import build_table, regular_nodes
 from twin.errors import FormatError
 from twin.formats.toml_reading import validate_document
 from twin.identification import Estimate, Misfit, Options, identify, predicted_vce
+from twin.identification.instruments.check_result import InstrumentCheck, LargestResidual
 from twin.identification.normal import PriorPrecision
 from twin.identification.predicted import field_forms
 from twin.identification.series_prior import SeriesPrior
@@ -391,6 +392,14 @@ class TestBudget:
         assert total["VCE / µm"] == pytest.approx(stated_um, abs=0.006)
         assert total["U(EXX) / µm"] == pytest.approx(rows["EXX"].expanded_uncertainty, abs=0.006)
         assert total["U(A0Z) / µrad"] == pytest.approx(rows["A0Z"].expanded_uncertainty, abs=0.006)
+
+    def test_the_row_of_the_ball_centres_says_that_instruments_joined(self, offline: ReportData) -> None:
+        largest = LargestResidual(7, 1.0, 1e-3, "mm")
+        for joined, name in ((True, "ball centres and other instruments"), (False, "ball centres (touches")):
+            check = InstrumentCheck("laser.csv", "laser", 5, 3.0, 4, 0.6, largest, not joined, joined)
+            found = with_estimate(offline, replace(estimate_of(offline), instruments=(check,))).identification
+            assert found is not None
+            assert [row[0].startswith(name) for row in budget_table(found, OFFSET, ENGLISH).rows].count(True) == 1
 
     def test_touches_and_family_are_told_apart_as_for_a_linear_estimate(self, offline: ReportData) -> None:
         """An estimate with random information N of all unknowns: H = N + P, where P is the prior precision. Given the

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from twin.identification.alternatives import alternatives
+from twin.identification.evidence import in_principal_axes
 from twin.identification.normal import DirectInformation, JointPrior, NormalEquations, Posterior, PriorPrecision
 from twin.identification.scales import Scales
 from twin.identification.unknowns import UnknownBlocks
@@ -33,6 +34,18 @@ def test_mean_and_covariance(known: JointPrior | None) -> None:
     assert posterior.covariance == pytest.approx(covariance, abs=1e-12)
     found = posterior.solve(NORMAL.right / AT.noise**2 + precision.information_vector)
     assert found == pytest.approx(mean, abs=1e-12)
+
+
+@pytest.mark.parametrize("known", [None, JointPrior.at_zero(BLOCKS, np.diag([1.0, 2.0, 3.0, 4.0]) + 0.3)])
+def test_principal_axes_change_no_prediction(known: JointPrior | None) -> None:
+    """The unknowns are turned: the length of their mean and the determinant of their covariance stay."""
+    precision = PriorPrecision(BLOCKS, known, direct=DirectInformation(DIRECT, TARGET))
+    mean, covariance = dense(precision, AT)
+    normal, turned = in_principal_axes(NORMAL, precision)
+    posterior = Posterior.of(normal.matrix, turned, AT)
+    found = posterior.solve(normal.right / AT.noise**2 + turned.information_vector)
+    assert np.linalg.norm(found) == pytest.approx(np.linalg.norm(mean), rel=1e-9)
+    assert posterior.log_determinant == pytest.approx(-np.linalg.slogdet(covariance)[1], abs=1e-9)
 
 
 def test_they_take_part_at_all_plausible_scales_but_do_not_choose_them() -> None:

@@ -63,7 +63,7 @@ def test_a_circle_in_its_plane() -> None:
     assert found.along == pytest.approx((found.points - [500.0, 300.0, 250.0]) / 150.0)
     assert found.noise == pytest.approx([0.2e-3, 0.2e-3, 0.3e-3, 0.2e-3])
     # length and scale are added to the noise; the four lobes that three readings share cancel at no angle
-    assert found.stated_covariance[0, 2] == pytest.approx((0.5e-3) ** 2 - 1.5e-3**2 * 1e-6 - (0.1e-3) ** 2 / 2.0)
+    assert found.stated_covariance[0, 2] == pytest.approx((0.5e-3) ** 2 - 1.5e-3**2 * 1e-6 - (0.1e-3) ** 2)
 
 
 def test_straightness_level_and_values() -> None:
@@ -94,11 +94,14 @@ def test_straightness_level_and_values() -> None:
         (LASER.replace("1.5", "abc"), "'abc' is not a number (file /folder/laser.csv, row 7, column reading_um)"),
         (LASER.replace("950,300", "1950,300"), "outside the travel of X"),
         (LASER.replace("450,300", "450,320"), "mm off the line"),
+        (LASER.replace("50,300", "600,300", 1), "on the other side of the first target, 150.0 mm behind it"),
         (LASER[: LASER.index("50,300")], "no reading follows the header"),
         (LASER[: LASER.index("450,300")], "all targets are at the same place"),
         (LASER.replace("reading_um", "value_um"), "column 'reading_um' is missing"),
         (LASER.replace('"laser"', '"straightness"\n# across = "X"').replace("# scale_um_per_m = 0.8\n", ""), "across"),
         (BALLBAR.replace("150", "400"), "the circle leaves the travel of Y"),
+        (BALLBAR.replace("[500,", "[-90000,"), "the circle leaves the travel of X, 0 to 1000 mm"),
+        (BALLBAR.replace("# plane", '# tool = "probe"\n# plane'), "tool and tool_offset_mm both say where"),
         (BALLBAR[: BALLBAR.index("180")], "determine no more than the set-up"),
         ("# instrument = 'values'\nparameter,value,sigma\nEXX[7],1,1\n", "is no parameter of the error model"),
         ("# instrument = 'values'\nparameter,value,sigma\nC0Y,1,1\nC0Y,1,1\n", "is stated twice"),

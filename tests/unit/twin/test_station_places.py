@@ -17,6 +17,8 @@ from agent.planning.planning_options import planning_options
 from twin.arrays import Array
 from twin.artefact.position_set import CHECKABLE_BALLS, Position
 from twin.design.station_places import STEP_SHARES, StationPlaces
+from twin.design.valuation import valuation
+from twin.identification.instruments.kinds import LaserSetUp, Readings, laser_line
 from twin.machine.volumetric import evaluation_grid
 
 BRIDGE = shipped_case("bridge").settings
@@ -57,6 +59,25 @@ def test_the_error_is_that_of_settings_with_these_places() -> None:
     listed = settings.stations.model_copy(update={"places_mm": [tuple(places[n].tolist()) for n in (1, 2, 3, 4)]})
     job = prepare_job(settings.model_copy(update={"stations": listed}), BRIDGE.parent)
     assert search().expected_mm(places) == pytest.approx(valuation_of(job, POSITIONS).after.aligned_mm, rel=1e-9)
+
+
+def test_readings_of_an_instrument_count() -> None:
+    """The expected error with them is that of the same set in the valuation, which is smaller than without them."""
+    job = bridge()
+    ranges = np.array(job.machine.model.ranges_mm)
+    points = np.tile(ranges.mean(axis=1), (10, 1))
+    points[:, 0] = np.linspace(ranges[0, 0], ranges[0, 1], 10)
+    seen = Readings("laser.csv", np.zeros(10), np.full(10, 0.2e-3), job.tool_offset_mm)
+    laser = laser_line(seen, points, LaserSetUp(0.1))
+    given = search()
+    joined = replace(given, options=replace(given.options, instruments=(laser,)))
+    places = job.layout.locations_mm
+    planned = job.procedure.plan(POSITIONS).observations
+    whole = valuation(
+        job.machine.family, job.procedure.artefact, planned, joined.options, given.grid, given.tool_offset
+    )
+    assert joined.expected_mm(places) == pytest.approx(whole.after.aligned_mm, rel=1e-9)
+    assert joined.expected_mm(places) < 0.99 * given.expected_mm(places)
 
 
 def test_the_places_lower_the_error_and_no_small_step_lowers_it_further() -> None:

@@ -104,14 +104,16 @@ def _wrong(error: float, above: str, below: str, digits: str) -> str:
 
 
 def common_scale(solution: Solution) -> CommonScale:
-    """Test the common scale in a solution with the family as prior, in the formulation of ball centres."""
-    problem, precision = solution.equations.problem, solution.precision
-    normal = _normal_equations(solution)
+    """Test the common scale in a solution with the family as prior, in the formulation of ball centres.
+
+    Readings of other instruments that are part of the solution do not take part in the test."""
+    problem, normal = solution.equations.problem, _normal_equations(solution)
+    # The test is about what the artefact shows: readings of other instruments measure the same slopes, but no strain.
+    precision = replace(solution.precision, direct=None)
     scales = _scales(problem, normal, precision, solution)
     posterior = Posterior.of(normal.matrix, precision, scales)
     mean = posterior.solve(normal.right / scales.noise**2 + precision.information_vector)
-    alone = replace(precision, direct=None)
-    prior = Posterior.of(np.zeros_like(normal.matrix), alone, replace(scales, noise=1.0))
+    prior = Posterior.of(np.zeros_like(normal.matrix), precision, replace(scales, noise=1.0))
     observed = _observed(problem, prior)
     before, after = (observed @ one.solve(observed.T) for one in (prior, posterior))
     axes = observed @ mean
@@ -163,7 +165,7 @@ class _MeanOfAxes:
 
 
 def _normal_equations(solution: Solution) -> NormalEquations:
-    """Return the normal equations with the right side of the last iteration."""
+    """Return the normal equations of the ball centres with the right side of the last iteration."""
     variance, z = solution.scales.noise**2, solution.z
     matrix, rows = solution.equations.matrix, solution.equations.rows
     right = (solution.posterior.times(z) - solution.precision.information_vector) * variance

@@ -19,13 +19,13 @@ from scipy.special import chdtrc, ndtr
 from twin.arrays import Array
 from twin.identification.estimate import Estimate, Misfit
 from twin.identification.instruments.check_result import InstrumentCheck, LargestResidual
-from twin.identification.instruments.readings import InstrumentReadings, set_up_space
+from twin.identification.instruments.readings import InstrumentReadings, set_up_space, shared_errors
 from twin.identification.instruments.rows import reading_covariance, reading_rows
 from twin.identification.unknowns import Unknowns
 
 FALSE_ALARM = 0.01
 """Probability that any of the instruments of an estimate is taken for wrong although all are right."""
-_VISIBLE = 1e-6  # of the largest variance of a residual: below it the set-up takes up the reading
+_VISIBLE = 1e-6  # of the variance of a reading before the set-up is fitted: below it the set-up takes up the reading
 
 
 class JointEstimate(Protocol):
@@ -72,11 +72,11 @@ def check_instruments(
     A contradicting instrument is joined only if `keep_contradicting` is True. The limit is `false_alarm` for all
     instruments together.
     """
-    prepared = [_Prepared.of(one, estimate.unknowns) for one in with_unresolved(estimate, instruments)]
+    prepared = _prepared(with_unresolved(estimate, instruments), estimate.unknowns)
     limit = false_alarm / max(len(prepared), 1)
     trusted, found = set(range(len(prepared))), dict[int, InstrumentCheck]()
     while trusted:
-        tested = {number: _tested(estimate, prepared, number, trusted) for number in sorted(trusted)}
+        tested = {number: _tested_twice(estimate, prepared, number, trusted) for number in sorted(trusted)}
         # χ² tail probabilities of gross contradictions are all zero: χ² itself decides between them
         worst = min(tested, key=lambda number: (tested[number].false_alarm, -tested[number].chi2))
         if tested[worst].false_alarm >= limit:
@@ -97,21 +97,50 @@ def with_unresolved(
 
 @dataclass(frozen=True, eq=False)
 class _Prepared:
-    """Instrument with its derivatives `rows` (m, P) and its `covariance` (m, m)."""
+    """Instrument with its derivatives `rows` (m, P + d) and its `covariance` (m, m). The d errors that it shares with
+    others of the same device are further unknowns with unit variance, and no part of the covariance."""
 
     readings: InstrumentReadings
     rows: Array
     covariance: Array
 
-    @classmethod
-    def of(cls, readings: InstrumentReadings, unknowns: Unknowns) -> _Prepared:
-        return cls(readings, reading_rows(readings, unknowns), reading_covariance(readings, unknowns))
+
+def _prepared(instruments: Sequence[InstrumentReadings], unknowns: Unknowns) -> list[_Prepared]:
+    return [
+        _Prepared(
+            one,
+            np.column_stack((reading_rows(one, unknowns), shared)),
+            reading_covariance(one, unknowns) - shared @ shared.T,
+        )
+        for one, shared in zip(instruments, shared_errors(instruments), strict=True)
+    ]
 
 
-def _tested(estimate: JointEstimate, prepared: Sequence[_Prepared], number: int, trusted: set[int]) -> InstrumentCheck:
-    """Return the result for one instrument against the ball centres and the other `trusted` instruments."""
-    one, mean, factor = prepared[number], estimate.z, estimate.z_covariance
-    for other in sorted(trusted - {number}):
+def _tested_twice(
+    estimate: JointEstimate, prepared: Sequence[_Prepared], number: int, trusted: set[int]
+) -> InstrumentCheck:
+    """Return the result for one instrument against the ball centres and the other `trusted` instruments.
+
+    If others were taken with the same device, they would explain an error of the device. The instrument is then tested
+    without them too, and the result is the smaller of two probabilities, doubled (Bonferroni).
+    """
+    device, others = prepared[number].readings.device, trusted - {number}
+    apart = {other for other in others if device is None or prepared[other].readings.device != device}
+    found = _tested(estimate, prepared, number, others)
+    if apart == others:
+        return found
+    found = min(found, _tested(estimate, prepared, number, apart), key=lambda one: (one.false_alarm, -one.chi2))
+    return replace(found, false_alarm=min(1.0, 2.0 * found.false_alarm))
+
+
+def _tested(estimate: JointEstimate, prepared: Sequence[_Prepared], number: int, others: set[int]) -> InstrumentCheck:
+    """Return the result for one instrument against the ball centres and the `others`."""
+    one = prepared[number]
+    shared = one.rows.shape[1] - len(estimate.z)
+    mean = np.pad(estimate.z, (0, shared))
+    factor = np.pad(estimate.z_covariance, (0, shared))
+    factor[len(estimate.z) :, len(estimate.z) :] = np.eye(shared)
+    for other in sorted(others):
         mean, factor = _updated(mean, factor, prepared[other])
     residual = one.readings.readings - one.rows @ mean
     spread = one.covariance + one.rows @ factor @ one.rows.T
@@ -123,7 +152,7 @@ def _tested(estimate: JointEstimate, prepared: Sequence[_Prepared], number: int,
     fitted = lower @ white
     carried = lower @ space
     variance = np.diagonal(spread) - np.square(carried).sum(axis=1)
-    visible = variance > _VISIBLE * variance.max()
+    visible = variance > _VISIBLE * np.diagonal(spread)
     sigmas = np.divide(fitted, np.sqrt(np.maximum(variance, 1e-300)), out=np.zeros_like(fitted), where=visible)
     worst = int(np.abs(sigmas).argmax())
     unit = one.readings.unit(worst)

@@ -13,6 +13,7 @@ from twin.identification.instruments.readings import InstrumentKind, InstrumentR
 from twin.units import MM_PER_UM
 
 _OFF_LINE_MM = 1.0  # farther off, a target does not belong to the line
+_ALONG = 1e-2  # cosine between two directions that count as perpendicular
 _PER_CENT = 1e-2
 _PPM = 1e-6
 _MM_PER_M = 1e3
@@ -21,13 +22,15 @@ _MM_PER_M = 1e3
 @dataclass(frozen=True, eq=False)
 class Readings:
     """Readings (m,) in mm or rad with their standard uncertainties `noise` (m,) and their numbers in the file `name`.
-    `tool_offset` (3,) in mm is where the reflector, the ball or the level is."""
+    `tool_offset` (3,) in mm is where the reflector, the ball or the level is. `device` names the instrument if other
+    readings were taken with the same one."""
 
     name: str
     values: Array
     noise: Array
     tool_offset: Array
     lines: tuple[int, ...] = ()
+    device: str | None = None
 
     def of_kind(
         self,
@@ -37,8 +40,11 @@ class Readings:
         along: Array | None = None,
         about: Array | None = None,
         free: list[Array],
-        correlated: list[Array],
+        of_device: list[Array],
+        of_set_up: list[Array] | None = None,
     ) -> InstrumentReadings:
+        """Return the readings of an instrument of this `kind`. `of_device` are the correlated errors of the instrument
+        itself, and `of_set_up` those of one set-up."""
         nothing, size = np.zeros((len(self.values), 3)), len(self.values)
         return InstrumentReadings(
             name=self.name,
@@ -50,8 +56,10 @@ class Readings:
             readings=self.values,
             noise=self.noise,
             free=np.array(free).reshape(-1, size).T,
-            correlated=np.array(correlated).reshape(-1, size).T,
+            correlated=np.array(of_device + (of_set_up or [])).reshape(-1, size).T,
             lines=self.lines,
+            device=self.device,
+            shared=len(of_device),
         )
 
 
@@ -79,7 +87,7 @@ class StraightnessSetUp:
 @dataclass(frozen=True)
 class BallbarSetUp:
     """Standard uncertainties of a ballbar: of its calibrated length, of the scale of its sensor, and of the form of its
-    balls in their seats (three lobes)."""
+    balls in their seats: three lobes, which add this standard uncertainty to each reading."""
 
     length_um: float = 0.5
     scale_percent: float = 0.15
@@ -96,7 +104,8 @@ def laser_line(seen: Readings, points: ArrayLike, set_up: LaserSetUp) -> Instrum
         at,
         along=np.tile(direction, (len(at), 1)),
         free=[np.ones(len(at))],
-        correlated=[_PPM * set_up.scale_um_per_m * distance, MM_PER_UM * set_up.drift_um * turn],
+        of_device=[_PPM * set_up.scale_um_per_m * distance],
+        of_set_up=[MM_PER_UM * set_up.drift_um * turn],
     )
 
 
@@ -106,7 +115,7 @@ def straightness_line(
     """Return the displacements that straightness optics show along a line, in the direction `across` (3,)."""
     at, direction, distance = _line(points, seen)
     normal = as_vector(across, 3, "direction across the line")
-    if abs(float(normal @ direction)) > _PER_CENT:
+    if abs(float(normal @ direction)) > _ALONG:
         raise DataError("a straightness is measured across its line, not along it", hint="choose another axis 'across'")
     middle, length = 0.5 * float(distance.max()), max(float(distance.max()), 1e-9)
     share = (distance - middle) / length
@@ -116,7 +125,8 @@ def straightness_line(
         at,
         along=np.tile(normal, (len(at), 1)),
         free=[np.ones(len(at)), share],
-        correlated=[_PER_CENT * set_up.scale_percent * seen.values, MM_PER_UM * set_up.bow_um_per_m2 * bow],
+        of_device=[_PER_CENT * set_up.scale_percent * seen.values],
+        of_set_up=[MM_PER_UM * set_up.bow_um_per_m2 * bow],
     )
 
 
@@ -132,18 +142,17 @@ def ballbar_circle(
     second one. `centre_mm` (3,) is an axis position."""
     outwards = np.zeros((len(angles_rad), 3))
     outwards[:, axes[0]], outwards[:, axes[1]] = np.cos(angles_rad), np.sin(angles_rad)
-    form = MM_PER_UM * set_up.form_um / np.sqrt(2.0)
+    form = MM_PER_UM * set_up.form_um
     return seen.of_kind(
         "ballbar",
         as_vector(centre_mm, 3, "centre of the circle") + radius_mm * outwards,
         along=outwards,
         free=[np.cos(angles_rad), np.sin(angles_rad)],
-        correlated=[
+        of_device=[
             np.full(len(angles_rad), MM_PER_UM * set_up.length_um),
             _PER_CENT * set_up.scale_percent * seen.values,
-            form * np.cos(3.0 * angles_rad),
-            form * np.sin(3.0 * angles_rad),
         ],
+        of_set_up=[form * np.cos(3.0 * angles_rad), form * np.sin(3.0 * angles_rad)],
     )
 
 
@@ -156,7 +165,7 @@ def level_readings(seen: Readings, points: ArrayLike, about: ArrayLike, scale_pe
         at,
         about=np.tile(as_vector(about, 3, "axis of the angle"), (len(at), 1)),
         free=[np.ones(len(at))],
-        correlated=[_PER_CENT * scale_percent * seen.values],
+        of_device=[_PER_CENT * scale_percent * seen.values],
     )
 
 
@@ -187,4 +196,10 @@ def _line(points: ArrayLike, seen: Readings) -> tuple[Array, Array, Array]:
         message = f"this target is {off[worst]:.1f} mm off the line from the first target to the farthest one"
         line = seen.lines[worst] if seen.lines else worst + 1
         raise DataError(message, hint="give each line as a file of its own", row=line)
+    # The sign of a reading belongs to a direction: it must not depend on which end is farther from the first target.
+    if float(distance.min()) < -_OFF_LINE_MM:
+        worst = int(distance.argmin())
+        message = f"this target lies on the other side of the first target, {-distance[worst]:.1f} mm behind it"
+        hint = "begin with a target at an end of the line; readings grow from there"
+        raise DataError(message, hint=hint, row=seen.lines[worst] if seen.lines else worst + 1)
     return at, direction, distance

@@ -12,6 +12,9 @@ several readings share (scale of a laser, length of a ballbar), and e has a unit
 
 from __future__ import annotations
 
+import hashlib
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -22,6 +25,7 @@ from twin.errors import DataError
 
 InstrumentKind = Literal["laser", "straightness", "ballbar", "level", "values"]
 INSTRUMENT_KINDS: tuple[InstrumentKind, ...] = get_args(InstrumentKind)
+_ROUNDED = 12  # decimals of mm or rad: below what any instrument shows, above the rounding of a conversion
 _DEPENDENT = 1e-9  # of the largest singular value: set-up unknowns that the readings do not tell apart
 
 
@@ -36,7 +40,10 @@ class InstrumentReadings:
     numbers of the readings in their file. `unresolved_mm2` is the variance per direction of errors whose wavelength is
     too short for the estimate; if it is None, it is the one expected beforehand.
 
-    Raises DataError if a standard uncertainty is not positive, or if the set-up explains any readings.
+    The first `shared` columns of L belong to the instrument itself, such as its scale or its length. Readings with the
+    same `device` have the errors e of these columns in common. Without a device, all errors are independent.
+
+    Raises DataError if a standard uncertainty is not positive, or if the set-up explains every possible reading.
     """
 
     name: str
@@ -53,11 +60,14 @@ class InstrumentReadings:
     units: tuple[str, ...] = ()
     lines: tuple[int, ...] = ()
     unresolved_mm2: float | None = None
+    device: str | None = None
+    shared: int = 0
 
     def __post_init__(self) -> None:
         if not (self.noise > 0.0).all():
-            raise DataError("a standard uncertainty of a reading is not above zero", row=self.line(0))
-        if self.size <= self.free.shape[1]:
+            worst = int(np.argmin(np.where(np.isnan(self.noise), -np.inf, self.noise)))
+            raise DataError("a standard uncertainty of a reading is not above zero", row=self.line(worst))
+        if self.size <= set_up_space(self.free).shape[1]:
             raise DataError(
                 f"{self.size} reading(s) determine no more than the set-up of the instrument ({self.kind})",
                 hint=f"give at least {self.free.shape[1] + 1} readings",
@@ -76,6 +86,13 @@ class InstrumentReadings:
         """Covariance (m, m) of the readings as the instrument states it, without the unknowns of its set-up."""
         return np.asarray(np.diag(self.noise**2) + self.correlated @ self.correlated.T)
 
+    @property
+    def checksum(self) -> str:
+        """Checksum of what was read and where, whatever the name of the file and the stated uncertainties."""
+        values = (self.points, self.along, self.about, self.readings)
+        content = b"".join(np.asarray(each, dtype="<f8").round(_ROUNDED).tobytes() for each in values)
+        return hashlib.sha256(content + " ".join((self.kind, *self.parameters)).encode()).hexdigest()[:16]
+
     def line(self, index: int) -> int:
         """Return the number of a reading in its file, or its number from 1 if it was not read from a file."""
         return self.lines[index] if self.lines else index + 1
@@ -92,3 +109,32 @@ def set_up_space(free: Array) -> Array:
     sizes = np.linalg.norm(free, axis=0)
     left, values, _ = np.linalg.svd(free / np.where(sizes > 0.0, sizes, 1.0), full_matrices=False)
     return np.asarray(left[:, values > _DEPENDENT * values[0]])
+
+
+def shared_errors(instruments: Sequence[InstrumentReadings]) -> list[Array]:
+    """Return for each instrument the effects (m, d) on its readings of the d errors, with unit variance, that several
+    of the `instruments` share because they have the same device.
+
+    Raises DataError if instruments of different kinds name the same device.
+    """
+    counts, first = Counter(one.device for one in instruments if one.device is not None), dict[str, slice]()
+    kinds, size = dict[str, InstrumentReadings](), 0
+    for one in instruments:
+        if one.device is None or counts[one.device] == 1:
+            continue
+        other = kinds.setdefault(one.device, one)
+        if other.kind != one.kind:
+            raise DataError(
+                f"{other.name} ({other.kind}) and {one.name} ({one.kind}) name the same device '{one.device}'",
+                hint="give each device a name of its own",
+            )
+        if one.device not in first:
+            first[one.device] = slice(size, size + one.shared)
+            size += one.shared
+    found = []
+    for one in instruments:
+        effects = np.zeros((one.size, size))
+        if one.device in first:
+            effects[:, first[one.device]] = one.correlated[:, : one.shared]
+        found.append(effects)
+    return found

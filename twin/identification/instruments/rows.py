@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.errors import DataError
-from twin.identification.instruments.readings import InstrumentReadings, set_up_space
+from twin.identification.instruments.readings import InstrumentReadings, set_up_space, shared_errors
 from twin.identification.normal import DirectInformation
 from twin.identification.scales import Scales
 from twin.identification.unknowns import Unknowns
@@ -80,16 +80,33 @@ def direct_information(instruments: Sequence[InstrumentReadings], unknowns: Unkn
     set-ups have been eliminated by projection."""
     if not instruments:
         return None
-    parts = [_whitened(readings, unknowns) for readings in instruments]
+    parts = [_whitened(of_device, unknowns) for of_device in _by_device(instruments)]
     return DirectInformation(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
-def _whitened(readings: InstrumentReadings, unknowns: Unknowns) -> tuple[Array, Array]:
-    factor = np.linalg.cholesky(reading_covariance(readings, unknowns))
-    size, columns = unknowns.blocks.size, readings.free.shape[1]
-    stacked = np.column_stack((reading_rows(readings, unknowns), readings.readings, readings.free))
-    white = np.linalg.solve(factor, stacked)
-    explained = set_up_space(white[:, size + 1 :] if columns else np.zeros((readings.size, 0)))
+def _by_device(instruments: Sequence[InstrumentReadings]) -> list[list[InstrumentReadings]]:
+    """Return the instruments in groups of the same device; one without a device is a group of its own."""
+    found = dict[str | int, list[InstrumentReadings]]()
+    for number, one in enumerate(instruments):
+        found.setdefault(number if one.device is None else one.device, []).append(one)
+    return list(found.values())
+
+
+def _whitened(group: Sequence[InstrumentReadings], unknowns: Unknowns) -> tuple[Array, Array]:
+    """Return rows (m, P) and target (m,) with unit noise of the m readings of instruments with the same device."""
+    shared = np.concatenate(shared_errors(group))
+    covariance = shared @ shared.T
+    at, free = 0, list[Array]()
+    for one in group:
+        inside = slice(at, at + one.size)
+        covariance[inside, inside] = reading_covariance(one, unknowns)
+        free.append(np.pad(one.free, ((at, len(shared) - at - one.size), (0, 0))))
+        at += one.size
+    rows = np.concatenate([reading_rows(one, unknowns) for one in group])
+    readings = np.concatenate([one.readings for one in group])
+    size = unknowns.blocks.size
+    white = np.linalg.solve(np.linalg.cholesky(covariance), np.column_stack((rows, readings, *free)))
+    explained = set_up_space(white[:, size + 1 :])
     seen = white[:, : size + 1]
     seen = seen - explained @ (explained.T @ seen)
     return seen[:, :size], seen[:, size]
