@@ -62,6 +62,19 @@ def optional_case_options(command: click.decorators.FC) -> click.decorators.FC:
     return _config_option(_settings_file_or_none)(_case_option(command))
 
 
+def instruments_option(meaning: str) -> Callable[[click.decorators.FC], click.decorators.FC]:
+    """Return a decorator that adds the option `--instrument`, files with readings of other instruments, to a command.
+    `meaning` says in the help of the option what the command does with them."""
+    return click.option(
+        "--instrument",
+        "instruments",
+        type=PATH,
+        multiple=True,
+        metavar="FILE.csv",
+        help=f"{meaning} May be given several times.",
+    )
+
+
 def no_settings_file() -> ConfigurationError:
     """Return the error of a command that needs a settings file if none is named and the current directory has none."""
     context = click.get_current_context()

@@ -29,13 +29,13 @@ from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.compensation.table import CompensationTable, MeasuredRegion, Nodes, build_table, regular_nodes
 from twin.formats.estimate_file import (
-    VolumetricSection,
     ball_shift_documents,
     common_scale_document,
     format_estimate,
     pattern_document,
     step_document,
 )
+from twin.formats.estimate_sections import VolumetricSection
 from twin.formats.instrument_section import instrument_documents
 from twin.identification import Estimate, Options, expected_rms, identify, identify_by_evidence, regional_forms
 from twin.identification.checks.measured_shape import check_shape

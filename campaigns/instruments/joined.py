@@ -17,7 +17,6 @@ if the wrong laser is joined on more than a quarter of the machines.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import sys
@@ -32,6 +31,7 @@ from campaigns.foreign.artefact import STATIONS_MM, measure_at, tilted_bar
 from campaigns.foreign.machine import HIGH, LOW, TOOL, DrawnMachine
 from campaigns.foreign.score import ComparisonWithTruth, compare_with_truth, family_of
 from campaigns.foreign.trials import GENERATORS, places_of
+from campaigns.instruments.trial_options import read_options
 from simulators.instruments.ballbar import Circle, measure_circle
 from simulators.instruments.interferometer import measure_line
 from simulators.instruments.machine_under_test import MachineUnderTest
@@ -58,7 +58,6 @@ EIGHT = (
 S3_24, S3_LASER = "S3, 24 positions", "S3, laser"
 ALONE, LASER, ALL = "8 positions", "8 positions, laser", "8 positions, laser and ballbar"
 _SEED = 47
-_WRONG_SCALE = 8e-6
 _MARGIN_MM, _RADIUS_MM, _TARGETS = 50.0, 150.0, 20
 _STEP = 10  # of the samples of a circle
 _PLANES = ("XY", "YZ", "ZX")
@@ -175,19 +174,12 @@ def summary(judged: Sequence[ComparisonWithTruth]) -> dict[str, float]:
 
 def main() -> int:
     """Carry out the trials of the command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m campaigns.instruments.joined", description="Identify with readings of other instruments."
-    )
-    parser.add_argument("--machines", type=int, default=30, help="machines of each generator")
-    parser.add_argument("--generator", choices=tuple(GENERATORS), action="append", help="generator; all if not given")
-    parser.add_argument("--worse-laser", action="store_true", help="use a laser that is wrong and does not say so")
-    given = parser.parse_args()
-    wrong = _WRONG_SCALE if given.worse_laser else 0.0
+    given = read_options("campaigns.instruments.joined", "Identify with readings of other instruments.", 30)
     results, document = list[MachineResult](), dict[str, object]()
-    for generator in given.generator or GENERATORS:
+    for generator in given.generators:
         found = []
         for number in range(given.machines):
-            found.append(one_machine(generator, number, wrong))
+            found.append(one_machine(generator, number, given.wrong_scale))
             sys.stdout.write(f"{generator} {number}: {_line(found[-1])}\n")
             sys.stdout.flush()
         document[generator] = {

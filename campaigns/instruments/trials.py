@@ -14,7 +14,6 @@ does not show.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import sys
@@ -32,7 +31,7 @@ from agent.workpiece.instrument_comparison import ComparedFigure, InstrumentComp
 from agent.workpiece.predicted_tests import PredictedTests
 from campaigns.foreign.calibrated_machine import calibrated_machine
 from campaigns.foreign.machine import TOOL, DrawnMachine
-from campaigns.foreign.trials import GENERATORS
+from campaigns.instruments.trial_options import read_options
 from simulators.instruments.machine_under_test import MachineUnderTest
 from simulators.scenario import AxisBehaviour, StoreSettings
 from simulators.wire.instrument_requests import answer_of
@@ -50,8 +49,6 @@ _MARGIN_MM = 200.0
 _TABLE_BANK = 1
 _CONTROLLER = TableBanks(StoreSettings()).limits
 _S_PER_H = 3600.0
-_WRONG_SCALE = 8e-6
-"""Relative error of a laser whose air sensor is wrong by about eight kelvin."""
 
 
 @dataclass(frozen=True)
@@ -139,18 +136,11 @@ def summary(figures: Sequence[ComparedFigure]) -> dict[str, float]:
 
 def main() -> int:
     """Carry out the trials of the command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m campaigns.instruments", description="Compare predictions with a virtual laser and ballbar."
-    )
-    parser.add_argument("--machines", type=int, default=20, help="machines of each generator")
-    parser.add_argument("--generator", choices=tuple(GENERATORS), action="append", help="generator; all if not given")
-    parser.add_argument("--worse-laser", action="store_true", help="use a laser that is wrong and does not say so")
-    given = parser.parse_args()
-    wrong = _WRONG_SCALE if given.worse_laser else 0.0
+    given = read_options("campaigns.instruments", "Compare predictions with a virtual laser and ballbar.", 20)
     every: list[ComparedFigure] = []
     result: dict[str, object] = {}
-    for generator in given.generator or GENERATORS:
-        work = partial(one_machine, generator, wrong_scale=wrong)
+    for generator in given.generators:
+        work = partial(one_machine, generator, wrong_scale=given.wrong_scale)
         figures = [figure for number in range(given.machines) for figure in work(number).figures]
         every += figures
         groups = _groups(figures)

@@ -13,7 +13,7 @@ import click
 
 from agent.cli.errors import reported
 from agent.cli.invocation import will_run
-from agent.cli.options import PATH, case_options
+from agent.cli.options import PATH, case_options, instruments_option
 
 if will_run():
     from rich.console import Console
@@ -95,14 +95,9 @@ def _minutes(_: click.Context, __: click.Parameter, text: str | None) -> float |
     is_flag=True,
     help="Also choose the places of the stations along their axis; the mount is carried.",
 )
-@click.option(
-    "--instrument",
-    "instruments",
-    type=PATH,
-    multiple=True,
-    metavar="FILE.csv",
-    help="Planned readings of an instrument that `volcal identify` will join. Their values do not matter; their time "
-    "is not counted. May be given several times.",
+@instruments_option(
+    "Planned readings of an instrument that `volcal identify` will join. Their values do not matter; their time is not "
+    "counted."
 )
 @click.option("--verify-set", is_flag=True, help="Also choose held-out positions for the verification.")
 @click.option("--out", type=PATH, default=Path("design.csv"), show_default=True, metavar="FILE.csv")

@@ -14,7 +14,7 @@ import click
 
 from agent.cli.errors import reported
 from agent.cli.invocation import will_run
-from agent.cli.options import PATH, no_settings_file, optional_case_options
+from agent.cli.options import PATH, instruments_option, no_settings_file, optional_case_options
 
 if will_run():
     from pydantic import ValidationError
@@ -96,14 +96,8 @@ def _order(_context: click.Context, _option: click.Parameter, text: str | None) 
     help="Standard uncertainty of the artefact's temperature, common to all rows [default: settings; without "
     "settings 1 K, or 3 K if the file contains no temperature].",
 )
-@click.option(
-    "--instrument",
-    "instruments",
-    type=PATH,
-    multiple=True,
-    metavar="FILE.csv",
-    help="Readings of a laser, straightness optics, ballbar or level, or an earlier report, evaluated with the ball "
-    "centres. May be given several times.",
+@instruments_option(
+    "Readings of a laser, straightness optics, ballbar or level, or an earlier report, evaluated with the ball centres."
 )
 @click.option(
     "--join-contradicting",
