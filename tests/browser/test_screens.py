@@ -213,6 +213,47 @@ def test_an_abort_that_is_not_answered_says_within_a_second_that_the_emergency_s
         expect(page.locator("#said")).to_have_text("Abort requested.")
 
 
+def answered_by_half(page: Page, path: str) -> None:
+    """Let each answer to `path` begin and not end: it fails when its request is dropped or `cutOff` is called."""
+    page.evaluate(
+        """path => {
+          const whole = window.fetch;
+          const half = (signal) => new ReadableStream({ start(content) {
+            content.enqueue(new TextEncoder().encode('{"runs": ['));
+            signal?.addEventListener("abort", () => content.error(signal.reason));
+            window.cutOff = () => content.error(new TypeError("network error"));
+            document.body.dataset.half = path;
+          } });
+          window.fetch = async (address, options = {}) => address === path
+            ? new Response(half(options.signal), { headers: { "content-type": "application/json" } })
+            : whole(address, options);
+        }""",
+        path,
+    )
+
+
+def test_a_response_that_an_abort_cuts_off_in_its_middle_is_no_error_of_the_page(
+    chromium: Browser, house: Service
+) -> None:
+    with told(chromium, house) as (page, _):
+        answered_by_half(page, "/api/runs?limit=50")
+        page.click("#tab-engineer")
+        expect(page.locator("body")).to_have_attribute("data-half", re.compile("/api/"))
+        page.keyboard.press("a")
+        expect(page.locator("#said")).to_have_text("Abort requested.")
+        expect(page.locator("#content")).not_to_be_empty()
+        expect(page.locator("#content .busy")).to_have_count(0)
+
+
+def test_an_abort_whose_answer_is_cut_off_is_not_confirmed(chromium: Browser, house: Service) -> None:
+    with told(chromium, house) as (page, _):
+        answered_by_half(page, "/api/abort")
+        page.click("#abort")
+        expect(page.locator("body")).to_have_attribute("data-half", re.compile("/api/"))
+        page.evaluate("cutOff()")
+        expect(page.locator("#said")).to_contain_text("ABORT IS NOT CONFIRMED")
+
+
 def test_a_start_gives_a_sign_before_the_service_answers(chromium: Browser, house: Service) -> None:
     with told(chromium, house) as (page, _):
         waiting: list[Route] = []

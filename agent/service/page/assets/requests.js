@@ -41,7 +41,7 @@ export async function read(path, { withToken = false } = {}) {
   const controller = new AbortController();
   reading.add(controller);
   try {
-    return await (await answered(fetch(path, { headers: { accept: "application/json", ...(withToken ? authorized() : {}) }, signal: controller.signal }))).json();
+    return await answered(fetch(path, { headers: { accept: "application/json", ...(withToken ? authorized() : {}) }, signal: controller.signal }), asJson);
   } finally {
     reading.delete(controller);
   }
@@ -54,23 +54,28 @@ export function dropReading() {
 
 export async function ask(path, body) {
   const headers = { "content-type": "application/json", ...authorized() };
-  return (await answered(fetch(path, { method: "POST", headers, body: JSON.stringify(body ?? {}) }))).json();
+  return answered(fetch(path, { method: "POST", headers, body: JSON.stringify(body ?? {}) }), asJson);
 }
 
 /* Fetches a file that requires the token. */
 export async function fetchFile(path) {
-  return (await answered(fetch(path, { headers: authorized() }))).blob();
+  return answered(fetch(path, { headers: authorized() }), (response) => response.blob());
 }
 
 /* True if the service does not accept the token at all; a role that does not permit the request is another matter. */
 export const isTokenRefused = (error) => error instanceof Refused && (error.problem.status === 401 || (error.problem.status === 403 && error.problem.title !== "RoleRefused"));
 
-async function answered(request) {
-  const response = await request.catch(() => {
+const asJson = (response) => response.json();
+
+/* Content of the response, read by `content`. A response that ends before its end is none: the service died in the middle
+   of it, or an abort has dropped it. */
+async function answered(request, content) {
+  const whole = (part) => part.catch(() => {
     throw new Refused({ status: 0, detail: say("problem.no_answer") });
   });
-  if (response.ok) return response;
+  const response = await whole(request);
+  if (response.ok) return whole(content(response));
   let problem = { status: response.status, detail: response.statusText };
-  if ((response.headers.get("content-type") ?? "").includes("json")) problem = { ...problem, ...(await response.json()) };
+  if ((response.headers.get("content-type") ?? "").includes("json")) problem = { ...problem, ...(await whole(asJson(response))) };
   throw new Refused(problem);
 }
