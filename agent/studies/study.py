@@ -16,10 +16,12 @@ from agent.planning.job import Job
 from agent.settings.load import POSITION_FILES
 from agent.settings.schema import RELOCATION_BY_HAND_MINUTES
 from agent.studies import STUDIES
+from agent.studies.true_effects import StatedEffect, with_effects
 from agent.studies.workers import Workers
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.position_set import Position, parse_position_set
+from twin.artefact.touch_pattern import approach_directions
 from twin.design.procedure import Procedure
 from twin.identification import Options
 from twin.machine.machine_description import MachineDescription
@@ -46,7 +48,9 @@ class StudyCase:
 
     `options` contains the identification options, and `machines` is the number of random machines to simulate.
     `prove` carries out the preflight of a calibration of a designed position set. `position_set` is the value of the
-    command-line option `--set`, or None if the position set of the settings is used.
+    command-line option `--set`, or None if the position set of the settings is used. `effects` act on the true machines
+    and their measurement, and no identification knows them. `true_machine` describes the true machines; if it is None,
+    they are those of the machine that is identified.
     """
 
     job: Job
@@ -57,6 +61,8 @@ class StudyCase:
     progress: Progress
     prove: Prove
     position_set: str | None = None
+    effects: tuple[StatedEffect, ...] = ()
+    true_machine: MachineDescription | None = None
 
     @property
     def machine(self) -> MachineDescription:
@@ -78,9 +84,17 @@ class StudyCase:
     @property
     def assumptions(self) -> TruthAssumptions:
         """Assumptions about the true conditions of the measurement. The simulated machines are drawn from the family
-        that the machine file describes, and have the deflection given in this file.
+        that the machine file of the true machines describes, and have the deflection given in this file.
         """
-        return TruthAssumptions.of_case(self.machine)
+        return self.with_stated_effects(TruthAssumptions.of_case(self.true_machine or self.machine))
+
+    def with_stated_effects(self, assumptions: TruthAssumptions) -> TruthAssumptions:
+        """Return the assumptions with the stated effects added."""
+        if not self.effects:
+            return assumptions
+        count = self.job.settings.procedure.touches_per_ball
+        touched = [approach_directions(count, one.frame.stylus_axis) for one in self.procedure.layouts.values()]
+        return with_effects(assumptions, self.effects, touched)
 
     def positions(self, expression: str | None = None) -> tuple[Position, ...]:
         """Return the measuring positions that `expression` describes.
@@ -127,6 +141,17 @@ class StudyCase:
         return self.workers.map(task, items, lambda done: self.progress(what, done, total))
 
     @property
+    def heading(self) -> str:
+        """Line that names machine and artefact, and how the true machines differ from what is identified."""
+        return subject(self.machine.name, self.artefact.name) + self.differences
+
+    @property
+    def differences(self) -> str:
+        """How the true machines differ from what is identified, to be added to the names of the machines."""
+        other = f", true machines: {self.true_machine.name}" if self.true_machine else ""
+        return other + (f", with {', '.join(map(str, self.effects))}" if self.effects else "")
+
+    @property
     def facts(self) -> dict[str, object]:
         """Conditions of the study by name, such as machine, artefact and seed. They are added to the summary of its
         result.
@@ -143,6 +168,8 @@ class StudyCase:
             "cut_off": self.options.cut_off,
             "machines": self.machines,
             "seed": self.seed,
+            **({"with": [str(one) for one in self.effects]} if self.effects else {}),
+            **({"true_machine": self.true_machine.name} if self.true_machine else {}),
         }
 
 
@@ -182,12 +209,12 @@ def run_study(name: str, case: StudyCase) -> StudyResult:
         return replace(
             result,
             summary={**common, "subjects": named, **result.summary},
-            draw=headed(result.draw, "; ".join(subject(*names) for names in result.subjects)),
+            draw=headed(result.draw, "; ".join(subject(*names) for names in result.subjects) + case.differences),
         )
     return replace(
         result,
         columns=(*result.columns, *NAME_COLUMNS),
         rows=[(*row, case.machine.name, case.artefact.name) for row in result.rows],
         summary={**case.facts, **result.summary},
-        draw=headed(result.draw, subject(case.machine.name, case.artefact.name)),
+        draw=headed(result.draw, case.heading),
     )

@@ -124,13 +124,15 @@ def study_assumptions(case: StudyCase) -> TruthAssumptions:
     """Return the assumptions of the study `uncertainty` about the true conditions of the measurement, such as a warm
     artefact, a thermometer error and a drift of the machine.
     """
-    return TruthAssumptions(
-        family=extended_family(case.machine),
-        deflection=case.machine.deflection,
+    true_machine = case.true_machine or case.machine
+    usual = TruthAssumptions(
+        family=extended_family(true_machine),
+        deflection=true_machine.deflection,
         artefact_temperature_c=case.artefact.reference_temperature_c + WARMER_K,
         thermometer_uncertainty_k=THERMOMETER_K,
         drift_mm=DRIFT_MM,
     )
+    return case.with_stated_effects(usual)
 
 
 def extended_family(machine: MachineDescription) -> Family:
@@ -168,7 +170,8 @@ def isolated_influences(assumptions: TruthAssumptions, model: ErrorModel) -> Map
         MISFIT: replace(nothing, family=_part(family, ~own), deflection=assumptions.deflection),
         UNSEEN: replace(nothing, family=_part(family, own)),
     }
-    return {name: alone.get(name) for name in INFLUENCES}
+    effects = {effect.name: replace(nothing, effects=(effect,)) for effect in assumptions.effects}
+    return {name: alone.get(name) for name in INFLUENCES} | effects
 
 
 def _part(family: Family, kept: np.ndarray[Any, np.dtype[np.bool_]]) -> Family:

@@ -6,6 +6,7 @@ import csv
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from distributed import LocalCluster
 
 CASE = ["--case", "case-study"]
 VOLCAL = [sys.executable, "-m", "agent.cli.main", "study", *CASE]
+MACHINES = Path(__file__).resolve().parents[2] / "config" / "machines"
 SMALL = ["monte-carlo", "--machines", "5", "--stations", "2", "--set", "S3"]
 RESULTS = ["monte-carlo.csv", "monte-carlo.json", "monte-carlo.png", "monte-carlo.svg"]
 
@@ -111,7 +113,52 @@ class TestWhatItSays:
         assert all(0.0 < left < 1.5 * said["rms_before_um"] for left in said["rms_left_um"].values())
 
 
+class TestTruthRicherThanTheModel:
+    def test_effects_and_other_true_machines_are_in_figures_and_facts(self, tmp_path: Path) -> None:
+        truth = (MACHINES / "case-study.toml").read_text().replace("order = 5", "order = 6", 1)
+        assert "order = 6" in truth
+        other = tmp_path / "machines" / "true.toml"
+        shutil.copytree(MACHINES, other.parent)
+        other.write_text(truth)
+        small = ["monte-carlo", "--machines", "2", "--stations", "2", "--set", "S3", "--workers", "1"]
+        added = ["--with", "backlash=8um", "--with", "gradient=0.2K", "--true-machine", other]
+        done = here(*small, *added, "--out", tmp_path / "with", "--json")
+        assert done.exit_code == 0, done.stderr
+        plain = here(*small, "--out", tmp_path / "plain", "--json")
+        found, before = json.loads(done.stdout), json.loads(plain.stdout)
+        assert found["with"] == ["backlash=8um", "gradient=0.2K"]
+        assert "with" not in before
+        assert found["vce_closed_form"]["aligned_um"] > before["vce_closed_form"]["aligned_um"] + 0.5
+        assert "with backlash=8um, gradient=0.2K" in (tmp_path / "with" / "monte-carlo.svg").read_text()
+
+
 class TestBadInput:
+    @pytest.mark.parametrize(
+        ("study", "stated", "words"),
+        [
+            ("monte-carlo", ["backlash"], ["'backlash' states no effect", "backlash=…um"]),
+            ("monte-carlo", ["backlash=-1um"], ["states no effect"]),
+            ("monte-carlo", ["backlash=5"], ["states no effect with its size and unit"]),
+            ("monte-carlo", ["backlash=5K"], ["the size of 'backlash' is in µm, not in K", "write backlash=5um"]),
+            ("monte-carlo", ["heat=2um"], ["the size of 'heat' is in K"]),
+            ("monte-carlo", ["rust=2um"], ["there is no effect 'rust'"]),
+            ("monte-carlo", ["heat=51K"], ["more than 50 K", "check the unit"]),
+            ("monte-carlo", ["heat=1K", "heat=2K"], ["the effect 'heat' is stated twice"]),
+            ("monte-carlo", ["heat=\u0663K"], ["states no effect"]),
+            ("coverage", ["heat=2K"], ["the study 'coverage' does not take --with"]),
+            ("volumetric-error", ["heat=2K"], ["does not take --with"]),
+        ],
+    )
+    def test_an_effect_that_cannot_be(self, study: str, stated: list[str], words: list[str], tmp_path: Path) -> None:
+        options = [part for one in stated for part in ("--with", one)]
+        refused(here(study, *options, "--out", tmp_path), 2, *words)
+        assert not list(tmp_path.iterdir())
+
+    def test_true_machines_with_other_axes_or_of_other_studies(self, tmp_path: Path) -> None:
+        mill = MACHINES / "mill.toml"
+        refused(here(*SMALL, "--true-machine", mill, "--out", tmp_path), 2, "axis")
+        refused(here("claims", "--true-machine", mill, "--out", tmp_path), 2, "'claims' does not take --true-machine")
+
     def test_an_unknown_study(self) -> None:
         refused(here("nonsense"), 2, "'nonsense' is not one of", "monte-carlo")
 

@@ -43,7 +43,8 @@ INFLUENCES = (TOUCH_NOISE, CERTIFICATE, CTE, TEMPERATURE, DRIFT, MOUNT, MISFIT, 
 `mount` is the pose of the artefact. It contributes nothing, because the poses are free unknowns. `misfit` covers the
 errors of the true machines that the model cannot represent, including the deflection, and the bias that these errors
 cause in the parameters. `unseen` covers the model's own parameters, to the extent that the position set does not
-determine them or the prior shrinks them towards zero.
+determine them or the prior shrinks them towards zero. The effects of the assumptions (`twin.uncertainty.
+measurement_effects`) follow them under their own names.
 """
 
 
@@ -185,7 +186,8 @@ def error_budget_of_form(
     answers = dict(zip(influences, np.split(estimator.influences, ends[:-1], axis=1), strict=True))
     # Response K f of the estimate to a field f of one standard deviation; the residual error is -K f, and its second
     # moment K f fᵀ Kᵀ. For a true machine parameter the residual is the parameter itself minus the response.
-    moments = {name: _moments(field, -answers[name]) for name in (CTE, TEMPERATURE, DRIFT)}
+    effects = [effect.name for effect in assumptions.effects]
+    moments = {name: _moments(field, -answers[name]) for name in (CTE, TEMPERATURE, DRIFT, *effects)}
     machines = _machine_residuals(field, answers["machines"])
     none = np.zeros((field.size, field.size))
     certificate = _moments(field, estimator.certificate) if assumptions.certificate else none
@@ -200,7 +202,7 @@ def error_budget_of_form(
     }
     bias = np.zeros(field.size)
     bias[field.model_indices] = -answers["deflection"].sum(axis=1)
-    return ErrorBudget(field, {name: moments[name] for name in INFLUENCES}, bias, machines)
+    return ErrorBudget(field, {name: moments[name] for name in (*INFLUENCES, *effects)}, bias, machines)
 
 
 def _influences(problem: IdentificationProblem, field: FieldForm, artefact: Artefact) -> dict[str, Array]:
@@ -223,6 +225,7 @@ def _influences(problem: IdentificationProblem, field: FieldForm, artefact: Arte
         CTE: stretched * doubt,
         TEMPERATURE: stretched * (artefact.cte_per_k * assumptions.thermometer_uncertainty_k),
         DRIFT: _drift_fields(problem, assumptions.drift_mm),
+        **{effect.name: effect.fields(assumptions.family.model, seen) for effect in assumptions.effects},
     }
 
 

@@ -3,8 +3,8 @@ residual error.
 
 Every quantity that `twin.identification` models as uncertain is drawn at random here. The machine is drawn from its
 family, which may have any Legendre order and a deflection; its parameters are uniformly distributed. The artefact is
-drawn from its certificate. The errors of thermometer, drift and touches are drawn from their uncertainties. The true
-field is computed from the exact product of the axis transforms, not from its linearisation.
+drawn from its certificate. The errors of thermometer, drift, touches and further effects are drawn from their
+uncertainties. The true field is computed from the exact product of the axis transforms, not from its linearisation.
 """
 
 from __future__ import annotations
@@ -70,6 +70,9 @@ def simulated_observations(
     touches = _touch_noise(planned.covariance, rng)
     if assumptions.touch_noise:
         found += touches
+    for effect in assumptions.effects:
+        fields = effect.fields(truth.model, planned)
+        found += fields @ rng.standard_normal(fields.shape[2])
     # The balls are at the true temperature, but the observations state what the thermometer shows.
     shown_c = np.full(planned.size, assumptions.artefact_temperature_c + real.thermometer_error_k)
     return replace(planned, axis_positions=found, temperature_c=shown_c)

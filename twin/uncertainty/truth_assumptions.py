@@ -13,6 +13,7 @@ from twin.errors import DataError
 from twin.machine.deflection import DeflectionGrid
 from twin.machine.machine_description import MachineDescription
 from twin.machine.machine_population import Family
+from twin.uncertainty.measurement_effects import MeasurementEffect
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +29,8 @@ class TruthAssumptions:
     `artefact_temperature_c` is the true temperature of the artefact during the measurement. `thermometer_uncertainty_k`
     is the standard uncertainty of the thermometer of the artefact; the error of the thermometer is constant during a
     run. The machine drifts linearly from the first to the last ball of each position of the artefact, and `drift_mm` is
-    the standard deviation of this drift, per direction, at the last ball.
+    the standard deviation of this drift, per direction, at the last ball. `effects` displace the measured ball centres
+    in addition; each has a name of its own.
     """
 
     family: Family
@@ -39,11 +41,15 @@ class TruthAssumptions:
     artefact_temperature_c: float = 20.0
     thermometer_uncertainty_k: float = 0.0
     drift_mm: float = 0.0
+    effects: tuple[MeasurementEffect, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("thermometer_uncertainty_k", "drift_mm"):
             if not getattr(self, name) >= 0.0:
                 raise DataError(f"{name} must not be negative, not {getattr(self, name)}")
+        names = [effect.name for effect in self.effects]
+        if len(set(names)) < len(names):
+            raise DataError(f"an effect occurs twice: {', '.join(names)}", hint="state each effect once")
 
     @classmethod
     def as_modelled(cls, machine: MachineDescription) -> TruthAssumptions:

@@ -25,8 +25,8 @@ if will_run():
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
     from agent.cli.printing import facts_table, results_console
-    from agent.figures.heading import subject
     from agent.files import check_folder, translated
+    from agent.model_files import load_machine
     from agent.planning.case_file import load_case
     from agent.runs.kinds.calibrate import preflight_of
     from agent.settings.load import naming
@@ -35,6 +35,7 @@ if will_run():
     from agent.studies.study import Progress as StudyProgress
     from agent.studies.study import StudyCase, StudyResult, run_study
     from agent.studies.study_files import as_plain, document, write_result
+    from agent.studies.true_effects import check_study, parse_effects
     from agent.studies.workers import LocalWorkers, Workers
     from drivers.clock import wall_seconds
     from drivers.errors import ConfigurationError
@@ -88,6 +89,14 @@ class Chosen:
 @click.argument("name", type=click.Choice(sorted(STUDIES)), metavar="NAME")
 @case_options
 @click.option("--machine", type=PATH, metavar="FILE", help="Machine file instead of the one in the settings.")
+@click.option("--true-machine", type=PATH, metavar="FILE", help="Machine file from which the true machines are drawn.")
+@click.option(
+    "--with",
+    "effects",
+    multiple=True,
+    metavar="EFFECT=SIZE",
+    help="Effect that no identification knows, such as backlash=5um or heat=2K; can be repeated.",
+)
 @click.option("--artefact", type=PATH, metavar="FILE", help="Artefact file instead of the one in the settings.")
 @click.option("--stations", type=click.IntRange(min=1), metavar="N", help="N stations, evenly spaced along their axis.")
 @click.option("--set", "position_set", metavar="SET", help="S1, S2, S3, joined by +, or a position file.")
@@ -114,6 +123,8 @@ def study_command(
     name: str,
     config: Path,
     machine: Path | None,
+    true_machine: Path | None,
+    effects: tuple[str, ...],
     artefact: Path | None,
     stations: int | None,
     position_set: str | None,
@@ -130,6 +141,8 @@ def study_command(
     """Study the procedure without a machine and write NAME.png, NAME.svg, NAME.csv and NAME.json into DIR."""
     started = wall_seconds()
     check_folder(out)
+    check_study(name, effects=bool(effects), true_machine=true_machine is not None)
+    stated, truth = parse_effects(effects), None if true_machine is None else load_machine(true_machine)
     job = load_case(config, machine=machine, artefact=artefact, stations=stations)
     options = Chosen(formulation, prior, weights).options(name, job.settings.identification)
     with naming(config), hired(workers, cluster) as team, progress_bars() as progress, translated(ConfigurationError):
@@ -142,6 +155,8 @@ def study_command(
             progress=progress,
             prove=preflight_of,
             position_set=position_set,
+            effects=stated,
+            true_machine=truth,
         )
         result = run_study(name, case)
     files = write_result(result, out)
@@ -151,7 +166,7 @@ def study_command(
             json.dumps({**said, "files": {suffix: str(path) for suffix, path in files.items()}}, allow_nan=False)
         )
     else:
-        _show(result, files, subject(case.machine.name, case.artefact.name))
+        _show(result, files, case.heading)
 
 
 @contextmanager
