@@ -59,6 +59,13 @@ def draw(figure: Figure, found: UncertaintyResult) -> None:
     _draw_motions((figure.add_subplot(lower[1]), figure.add_subplot(lower[2])), found.budget)
 
 
+def _upper_end_um(bar: InfluenceResult) -> float:
+    """Return the upper end of the interval of the simulated contribution in µm; 0 if it was not simulated."""
+    if bar.simulated is None:
+        return 0.0
+    return bar.simulated.expected.aligned_um + STANDARD_ERRORS * bar.simulated.standard_error.aligned_um
+
+
 def _draw_contributions(axes: Axes, found: UncertaintyResult) -> None:
     """Draw the contributions with the largest at the top and the total at the bottom. The squares of the contributions
     add up to the square of the total."""
@@ -84,10 +91,12 @@ def _draw_contributions(axes: Axes, found: UncertaintyResult) -> None:
         linewidth=1.0,
         label="simulated alone,\n± 2 standard errors",
     )
-    for coordinate, length in zip(coordinates, lengths, strict=True):
-        axes.annotate(f"{length:.2f}", (length, coordinate), (15.0, 0.0), textcoords="offset points", va="center")
+    for coordinate, bar in zip(coordinates, bars, strict=True):
+        end = max(bar.closed.aligned_um, _upper_end_um(bar))
+        text = f"{bar.closed.aligned_um:.2f}"
+        axes.annotate(text, (end, coordinate), (6.0, 0.0), textcoords="offset points", va="center")
     axes.set_yticks(coordinates, [bar.name for bar in bars])
-    axes.set_xlim(0.0, 1.2 * lengths.max())
+    axes.set_xlim(0.0, 1.15 * max(lengths.max(), *(_upper_end_um(bar) for bar in bars)))
     axes.grid(visible=False, axis="y")
     axes.set_xlabel("root mean square VCE, aligned / µm")
     axes.set_title("Contributions: their squares add up")

@@ -121,7 +121,7 @@ class TestTruthRicherThanTheModel:
         shutil.copytree(MACHINES, other.parent)
         other.write_text(truth)
         small = ["monte-carlo", "--machines", "2", "--stations", "2", "--set", "S3", "--workers", "1"]
-        added = ["--with", "backlash=8um", "--with", "gradient=0.2K", "--true-machine", other]
+        added: list[str | Path] = ["--with", "backlash=8um", "--with", "gradient=0.2K", "--true-machine", other]
         done = here(*small, *added, "--out", tmp_path / "with", "--json")
         assert done.exit_code == 0, done.stderr
         plain = here(*small, "--out", tmp_path / "plain", "--json")

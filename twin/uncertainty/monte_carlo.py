@@ -71,7 +71,7 @@ def simulated_observations(
     if assumptions.touch_noise:
         found += touches
     for effect in assumptions.effects:
-        fields = effect.fields(truth.model, planned)
+        fields = effect.fields(assumptions.family.model, planned)
         found += fields @ rng.standard_normal(fields.shape[2])
     # The balls are at the true temperature, but the observations state what the thermometer shows.
     shown_c = np.full(planned.size, assumptions.artefact_temperature_c + real.thermometer_error_k)
