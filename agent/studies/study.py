@@ -147,7 +147,7 @@ class StudyCase:
 
     @property
     def differences(self) -> str:
-        """How the true machines differ from what is identified, to be added to the names of the machines."""
+        """Difference between the true machines and what is identified, in words that follow the names of the machines."""
         other = f", true machines: {self.true_machine.name}" if self.true_machine else ""
         return other + (f", with {', '.join(map(str, self.effects))}" if self.effects else "")
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 from drivers.errors import ConfigurationError
 from twin.arrays import Array
-from twin.uncertainty.measurement_effects import LostMotion, MachineWarming, MeasurementEffect, ProbeLobing
+from twin.uncertainty.measurement_effects import LostMotionEffect, WarmingEffect, MeasurementEffect, LobingEffect
 from twin.uncertainty.truth_assumptions import TruthAssumptions
 from twin.units import MM_PER_UM
 
@@ -125,10 +125,10 @@ def with_effects(
     """Return the assumptions about true machines with the stated effects added."""
     sizes = {one.name: one.size for one in effects}
     makers: dict[str, Callable[[float], MeasurementEffect]] = {
-        "backlash": lambda um: LostMotion(MM_PER_UM * um, directions),
-        "heat": lambda kelvin: MachineWarming(kelvin, bends=False),
-        "gradient": lambda kelvin: MachineWarming(kelvin, bends=True),
-        "lobing": lambda um: ProbeLobing(MM_PER_UM * um, directions),
+        "backlash": lambda um: LostMotionEffect(MM_PER_UM * um, directions),
+        "heat": lambda kelvin: WarmingEffect(kelvin, bends=False),
+        "gradient": lambda kelvin: WarmingEffect(kelvin, bends=True),
+        "lobing": lambda um: LobingEffect(MM_PER_UM * um, directions),
     }
     added = tuple(make(sizes[name]) for name, make in makers.items() if sizes.get(name, 0.0) > 0.0)
     return replace(

@@ -45,7 +45,7 @@ class MeasurementEffect(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class LostMotion:
+class LostMotionEffect:
     """Lost motion of the axes: each slide lags behind its drive by half of it, against the direction of motion.
 
     `deviation_mm` is the standard deviation, over machines, of the lost motion of each axis at any place of its travel.
@@ -73,7 +73,7 @@ class LostMotion:
 
 
 @dataclass(frozen=True)
-class MachineWarming:
+class WarmingEffect:
     """Machine whose temperature changes in proportion to the number of measured balls.
 
     `rise_k` is the standard deviation, over machines, of the change until the last ball. If `bends` is False, scales
@@ -106,11 +106,11 @@ class MachineWarming:
 
 
 @dataclass(frozen=True, eq=False)
-class ProbeLobing:
+class LobingEffect:
     """Pretravel of the probe with three lobes around the stylus, largest for touches across the stylus.
 
     `amplitude_mm` is the root mean square, over machines, of the amplitude; the direction of the lobes is unknown.
-    `directions` is that of `LostMotion`.
+    `directions` is that of `LostMotionEffect`.
     """
 
     amplitude_mm: float

@@ -22,10 +22,10 @@ from twin.uncertainty.measurement_effects import (
     BENDING,
     GROWTH,
     LOST_MOTION,
-    LostMotion,
-    MachineWarming,
+    LostMotionEffect,
+    WarmingEffect,
     MeasurementEffect,
-    ProbeLobing,
+    LobingEffect,
 )
 from twin.uncertainty.monte_carlo import draw_truth, simulated_observations
 from twin.uncertainty.truth_assumptions import TruthAssumptions
@@ -58,7 +58,7 @@ def fitted_centre(points: np.ndarray, free: bool) -> np.ndarray:
 def test_lost_motion_shifts_a_centre_as_the_touches_of_lagging_slides_do(count: int) -> None:
     """Each axis reads too far in the direction in which it moves, by half of the lost motion at its place."""
     at, sigma_mm = planned(), 6e-3
-    fields = LostMotion(sigma_mm, [PATTERNS[count]]).fields(MODEL, at)
+    fields = LostMotionEffect(sigma_mm, [PATTERNS[count]]).fields(MODEL, at)
     sizes = np.random.default_rng(4).standard_normal(6)
     low, high = np.array(RANGES).T
     for row in (0, at.size // 2, at.size - 1):
@@ -78,7 +78,7 @@ def test_lost_motion_shifts_a_centre_as_the_touches_of_lagging_slides_do(count: 
 def test_lobes_shift_every_centre_alike_by_what_the_pattern_makes_of_them(count: int) -> None:
     """A probe that trips later by a cos 3(φ-ψ), φ counted around the stylus, is displayed as much deeper."""
     at, amplitude_mm, psi, touches = planned(), 3e-3, 0.7, PATTERNS[count]
-    fields = ProbeLobing(amplitude_mm, [touches]).fields(MODEL, at)
+    fields = LobingEffect(amplitude_mm, [touches]).fields(MODEL, at)
     assert np.ptp(fields, axis=0) == pytest.approx(np.zeros((3, 2)))
     deeper = [amplitude_mm * math.cos(3.0 * (math.atan2(y, x) - psi)) * math.hypot(x, y) for x, y, _ in touches]
     shown = np.array([-(RADIUS_MM - e) * d for e, d in zip(deeper, touches, strict=True)])
@@ -91,7 +91,7 @@ def test_lobes_shift_every_centre_alike_by_what_the_pattern_makes_of_them(count:
 
 def test_a_machine_that_warms_grows_by_twelve_micrometres_per_metre_and_kelvin_until_its_last_ball() -> None:
     at, rise_k = planned(), 2.5
-    fields = MachineWarming(rise_k, bends=False).fields(MODEL, at)
+    fields = WarmingEffect(rise_k, bends=False).fields(MODEL, at)
     share = np.arange(at.size) / (at.size - 1)
     middle = np.mean(RANGES, axis=1)
     wanted = np.zeros((at.size, 3, 6))
@@ -106,7 +106,7 @@ def test_a_machine_that_warms_grows_by_twelve_micrometres_per_metre_and_kelvin_u
 
 def test_a_machine_that_bends_bows_its_guides_at_once_and_with_a_lag() -> None:
     at, rise_k = planned(), 1.5
-    fields = MachineWarming(rise_k, bends=True).fields(MODEL, at)
+    fields = WarmingEffect(rise_k, bends=True).fields(MODEL, at)
     share = np.arange(at.size) / (at.size - 1)
     low, high = RANGES[0]
     x = (2.0 * at.axis_positions[:, 0] - low - high) / (high - low)
@@ -119,9 +119,9 @@ def test_a_machine_that_bends_bows_its_guides_at_once_and_with_a_lag() -> None:
 
 
 EFFECTS: dict[str, MeasurementEffect] = {
-    LOST_MOTION: LostMotion(5e-3, [PATTERNS[5]]),
-    GROWTH: MachineWarming(1.0, bends=False),
-    BENDING: MachineWarming(1.0, bends=True),
+    LOST_MOTION: LostMotionEffect(5e-3, [PATTERNS[5]]),
+    GROWTH: WarmingEffect(1.0, bends=False),
+    BENDING: WarmingEffect(1.0, bends=True),
 }
 
 
@@ -160,15 +160,15 @@ def test_a_simulated_measurement_has_the_effect_and_all_else_as_before() -> None
 @pytest.mark.parametrize("size", [-1.0, math.nan, math.inf])
 def test_a_size_that_none_can_have_is_refused(size: float) -> None:
     for make in (
-        lambda: LostMotion(size, [PATTERNS[5]]),
-        lambda: MachineWarming(size, bends=True),
-        lambda: ProbeLobing(size, [PATTERNS[5]]),
+        lambda: LostMotionEffect(size, [PATTERNS[5]]),
+        lambda: WarmingEffect(size, bends=True),
+        lambda: LobingEffect(size, [PATTERNS[5]]),
     ):
         with pytest.raises(DataError, match="finite and not negative"):
             make()
 
 
 def test_one_effect_is_not_stated_twice() -> None:
-    effect = MachineWarming(1.0, bends=True)
+    effect = WarmingEffect(1.0, bends=True)
     with pytest.raises(DataError, match="an effect occurs twice"):
         replace(NOTHING, effects=(effect, effect))
