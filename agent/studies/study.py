@@ -147,7 +147,7 @@ class StudyCase:
 
     @property
     def differences(self) -> str:
-        """Difference between the true machines and what is identified, in words that follow the names of the machines."""
+        """What differs between the true machines and the identified ones, in words that follow their names."""
         other = f", true machines: {self.true_machine.name}" if self.true_machine else ""
         return other + (f", with {', '.join(map(str, self.effects))}" if self.effects else "")
 

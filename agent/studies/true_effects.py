@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 from drivers.errors import ConfigurationError
 from twin.arrays import Array
-from twin.uncertainty.measurement_effects import LostMotionEffect, WarmingEffect, MeasurementEffect, LobingEffect
+from twin.uncertainty.measurement_effects import LobingEffect, LostMotionEffect, MeasurementEffect, WarmingEffect
 from twin.uncertainty.truth_assumptions import TruthAssumptions
 from twin.units import MM_PER_UM
 

@@ -22,10 +22,10 @@ from twin.uncertainty.measurement_effects import (
     BENDING,
     GROWTH,
     LOST_MOTION,
-    LostMotionEffect,
-    WarmingEffect,
-    MeasurementEffect,
     LobingEffect,
+    LostMotionEffect,
+    MeasurementEffect,
+    WarmingEffect,
 )
 from twin.uncertainty.monte_carlo import draw_truth, simulated_observations
 from twin.uncertainty.truth_assumptions import TruthAssumptions
