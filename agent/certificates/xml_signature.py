@@ -22,6 +22,7 @@ from signxml.verifier import SignatureConfiguration, VerifyResult, XMLVerifier
 
 from agent.files import translated
 from agent.printable import one_line
+from agent.settings.credentials import handed_over, open_mode
 from drivers.errors import ConfigurationError, InputError
 from twin.formats.digital_certificate.xml_reading import DS, child, children, parse_xml
 
@@ -206,6 +207,36 @@ class Signer:
         """Return a copy of the document with an enveloped signature as its last element."""
         method = SignatureMethod.RSA_SHA256 if isinstance(self.key, rsa.RSAPrivateKey) else SignatureMethod.ECDSA_SHA256
         return XMLSigner(signature_algorithm=method).sign(root, key=self.key, cert=list(self.chain))
+
+
+CREDENTIAL: Final = "certificate-key"
+"""Credential of systemd with the private key."""
+
+
+def signer_of(
+    key_file: Path | None, certificate_file: Path | None, now: datetime.datetime, *, key_is_stated: bool
+) -> Signer | None:
+    """Return the signer of the settings or of the command line; None if neither a key nor a certificate is stated.
+
+    A key that systemd has passed comes before that of the settings, but not before one that the command line states
+    (`key_is_stated`). Raise ConfigurationError if only one of the two is stated, if other users than its owner can read
+    the key, or if the two cannot be used (`Signer.read`).
+    """
+    key = key_file if key_is_stated else handed_over(CREDENTIAL) or key_file
+    if key is None and certificate_file is None:
+        return None
+    if key is None or certificate_file is None:
+        absent = "key_file" if key is None else "certificate_file"
+        raise ConfigurationError(
+            "a signature needs both a key and its certificate",
+            key=f"report.signature.{absent}",
+            hint="state both files, or neither",
+        )
+    if key.exists() and (mode := open_mode(key)) is not None:
+        raise ConfigurationError(
+            f"the file of a secret can be read by others (mode {mode:04o})", hint=f"chmod 600 {key}", file=str(key)
+        )
+    return Signer.read(key, certificate_file, now)
 
 
 def _public(certificate: x509.Certificate) -> bytes:

@@ -39,8 +39,8 @@ class DsiUnit:
 
 
 def parse_unit(text: str) -> DsiUnit:
-    r"""Return the unit that `text` names. A prefix applies to the unit after it, `\per` inverts that unit, and
-    `\tothe{n}` raises it to the power n.
+    r"""Return the unit that `text` names. A prefix applies to the unit after it, `\tothe{n}` raises it to the power n,
+    and all units after `\per` divide.
 
     Raise DataError if the text is not a unit of length, temperature difference or angle, or a number.
     """
@@ -48,10 +48,10 @@ def parse_unit(text: str) -> DsiUnit:
     if len(text) > _LONGEST or _TOKEN.sub("", text).strip() or not words:
         raise _unknown(text)
     factor, exponents = 1.0, dict[str, int]()
-    at, end = 0, len(words)
+    at, end, sign = 0, len(words), 1
     while at < end:
-        sign = -1 if words[at] == ("per", "") else 1
-        at += sign == -1
+        if words[at] == ("per", ""):
+            at, sign = at + 1, -1
         prefix = PREFIXES.get(words[at][0], 1.0) if at < end and not words[at][1] else 1.0
         at += at < end and words[at][0] in PREFIXES and not words[at][1]
         if at == end or words[at][0] not in _UNITS or words[at][1]:

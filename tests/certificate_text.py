@@ -14,9 +14,9 @@ HEAD = """<?xml version="1.0" encoding="UTF-8"?>
 <dcc:release>1</dcc:release></dcc:software></dcc:dccSoftware>
 <dcc:coreData><dcc:countryCodeISO3166_1>DE</dcc:countryCodeISO3166_1>
 <dcc:usedLangCodeISO639_1>de</dcc:usedLangCodeISO639_1><dcc:mandatoryLangCodeISO639_1>de</dcc:mandatoryLangCodeISO639_1>
-<dcc:uniqueIdentifier>D-K-1 2026-05</dcc:uniqueIdentifier>
-<dcc:beginPerformanceDate>2026-02-27</dcc:beginPerformanceDate>
-<dcc:endPerformanceDate>2026-03-01</dcc:endPerformanceDate>
+<dcc:uniqueIdentifier>D-K-1 2014-05</dcc:uniqueIdentifier>
+<dcc:beginPerformanceDate>2014-02-27</dcc:beginPerformanceDate>
+<dcc:endPerformanceDate>2014-03-01</dcc:endPerformanceDate>
 <dcc:performanceLocation>laboratory</dcc:performanceLocation></dcc:coreData>
 <dcc:items><dcc:item><dcc:name><dcc:content lang="de">Kugelstab</dcc:content><dcc:content lang="en">ball bar</dcc:content>
 </dcc:name><dcc:manufacturer><dcc:name><dcc:content>Maker</dcc:content></dcc:name></dcc:manufacturer>
@@ -30,7 +30,7 @@ HEAD = """<?xml version="1.0" encoding="UTF-8"?>
 </dcc:respPerson></dcc:respPersons>
 <dcc:customer><dcc:name><dcc:content>Customer</dcc:content></dcc:name><dcc:location><dcc:city>X</dcc:city></dcc:location>
 </dcc:customer>
-<dcc:statements><dcc:statement refType="basic_validUntil"><dcc:date>2028-03-01</dcc:date></dcc:statement></dcc:statements>
+<dcc:statements><dcc:statement refType="basic_validUntil"><dcc:date>2126-03-01</dcc:date></dcc:statement></dcc:statements>
 </dcc:administrativeData>
 <dcc:measurementResults><dcc:measurementResult>
 <dcc:name><dcc:content>Results</dcc:content></dcc:name><dcc:results>
