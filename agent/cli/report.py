@@ -28,7 +28,7 @@ if will_run():
     from agent.reports.render_from_journal import render_from_journal
     from agent.settings.load import naming, read_settings
     from agent.settings.report import ReportSettings, SignatureSettings
-    from drivers.clock import wall_seconds
+    from drivers.clock import utc_timestamp
     from drivers.errors import InputError
 
 LAST = "last"
@@ -104,7 +104,7 @@ def _write_certificate(
     of its signature, each of which is None for that of the settings. A warning says if it is not signed."""
     from agent.reports.digital_certificate.from_journal import certificate_from_journal  # noqa: PLC0415  matplotlib
 
-    now = datetime.datetime.fromtimestamp(wall_seconds(), datetime.UTC)
+    now = datetime.datetime.fromisoformat(utc_timestamp())
     key, certificate = files
     signature = SignatureSettings(
         key_file=key or settings.signature.key_file, certificate_file=certificate or settings.signature.certificate_file

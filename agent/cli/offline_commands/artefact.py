@@ -18,7 +18,7 @@ if will_run():
     from agent.certificates.artefact_import import ImportRequest, import_certificate
     from agent.files import write_all_atomically
     from agent.printable import printable
-    from drivers.clock import wall_seconds
+    from drivers.clock import utc_timestamp
     from drivers.errors import InputError
 
 
@@ -63,7 +63,7 @@ def import_command(
     """
     if out.suffix != ".toml":
         raise InputError("the artefact file must end in .toml", hint="choose another name for --out", file=str(out))
-    today = datetime.datetime.fromtimestamp(wall_seconds(), datetime.UTC).date()
+    today = datetime.datetime.fromisoformat(utc_timestamp()).date()
     found = import_certificate(ImportRequest(certificate, like, out, ignored, trusted), today)
     write_all_atomically(out.parent, found.files)
     written = [str(out.parent / name) for name in found.files]

@@ -147,10 +147,11 @@ def _add_error(whole: etree._Element, row: ErrorRow, tolerance: float | None) ->
     one = add(whole, "quantity", refType=f"basic_measuredValue {NAMESPACE}_{kind} iso230-1_{row.name}")
     add_words(one, "name", f"{row.name}; {row.meaning}")
     if row.waves > 0.0:
+        size = f"{fixed(row.waves, 1)} {row.unit}"
         add_words(
             one,
             "description",
-            f"Waves too short for the error model may change the range by up to {fixed(row.waves, 1)} {row.unit}.",
+            f"Waves too short for the error model may change the range by up to {size}.",
         )
     add_real(one, row.size, row.unit, row.expanded_uncertainty)
     if tolerance is not None:
