@@ -9,7 +9,14 @@ from typing import Final
 from lxml import etree
 
 from agent.language.sentences import Language
-from agent.reports.digital_certificate.elements import LANGUAGES, add, add_identifications, add_said, add_words
+from agent.reports.digital_certificate.elements import (
+    LANGUAGES,
+    add,
+    add_identifications,
+    add_said,
+    add_software,
+    add_words,
+)
 from agent.reports.page.data import IdentificationData, ReportData
 from agent.reports.page.document_head import calibration_notes, listed_instruments, report_number
 from agent.reports.page.identity import validity
@@ -71,10 +78,7 @@ def add_administration(
     """Add the administrative data of a report whose settings are complete."""
     stated = data.document
     head = add(root, "administrativeData")
-    software = add(add(head, "dccSoftware"), "software")
-    add_said(software, "name", "volcal")
-    add(software, "release", data.header.software_version)
-    add(software, "type", "application")
+    add_software(add(head, "dccSoftware"), data.header.software_version)
     _add_definitions(head)
     _add_core(head, data, language, issued)
     _add_item(head, data)

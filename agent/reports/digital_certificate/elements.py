@@ -18,7 +18,7 @@ UNITS: Final = {"µm": r"\micro\metre", "µrad": r"\micro\radian", "°C": r"\deg
 """D-SI of the units of reports."""
 COVERAGE_FACTOR, COVERAGE_PROBABILITY = "2", "0.95"
 
-_LONGEST: Final = 1000
+_LONGEST: Final = 20_000
 _DECIMALS: Final = 4
 
 
@@ -36,12 +36,17 @@ def add(parent: etree._Element, name: str, text: str | None = None, **attributes
 
 
 def add_words(parent: etree._Element, name: str, *sentences: str, **attributes: str) -> etree._Element:
-    """Add an element with sentences of the program in English, and then in German."""
+    """Add an element with sentences of the program, which make one text in English and one in German."""
     element = add(parent, name, **attributes)
     for language in LANGUAGES:
-        for sentence in sentences:
-            add(element, "content", sentence if language == "en" else german(sentence), lang=language)
+        told = (sentence if language == "en" else german(sentence) for sentence in sentences)
+        add(element, "content", " ".join(_ended(one) if len(sentences) > 1 else one for one in told), lang=language)
     return element
+
+
+def _ended(sentence: str) -> str:
+    """Return the sentence with a full stop at its end."""
+    return sentence if sentence.endswith((".", "!", "?")) else f"{sentence}."
 
 
 def add_said(parent: etree._Element, name: str, text: str, **attributes: str) -> etree._Element:
@@ -63,6 +68,14 @@ def add_identifications(parent: etree._Element, numbers: Iterable[tuple[str, str
         add(one, "issuer", issuer)
         add(one, "value", value)
         add_words(one, "name", meaning)
+
+
+def add_software(parent: etree._Element, version: str) -> None:
+    """Add this program with its version."""
+    software = add(parent, "software")
+    add_said(software, "name", "volcal")
+    add(software, "release", f"v{version}")
+    add(software, "type", "application")
 
 
 def add_real(

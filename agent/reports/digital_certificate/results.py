@@ -9,7 +9,7 @@ import numpy as np
 from lxml import etree
 
 from agent.reports.digital_certificate.administration import NAMESPACE, add_equipment
-from agent.reports.digital_certificate.elements import add, add_real, add_words
+from agent.reports.digital_certificate.elements import add, add_real, add_software, add_words
 from agent.reports.page.data import IdentificationData, ReportData
 from agent.reports.page.document_head import method, standards
 from agent.reports.page.error_table import ErrorRow, error_rows
@@ -36,9 +36,7 @@ def add_results(
     measured = add(results, "measurementResult")
     add_words(measured, "name", "Volumetric calibration of the machine")
     _add_methods(measured, data, t)
-    software = add(add(measured, "usedSoftware"), "software")
-    add(add(software, "name"), "content", "volcal")
-    add(software, "release", data.header.software_version)
+    add_software(add(measured, "usedSoftware"), data.header.software_version)
     add_equipment(measured, data, t)
     _add_conditions(measured, found)
     listed = add(measured, "results")
