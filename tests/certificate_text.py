@@ -18,7 +18,8 @@ HEAD = """<?xml version="1.0" encoding="UTF-8"?>
 <dcc:beginPerformanceDate>2014-02-27</dcc:beginPerformanceDate>
 <dcc:endPerformanceDate>2014-03-01</dcc:endPerformanceDate>
 <dcc:performanceLocation>laboratory</dcc:performanceLocation></dcc:coreData>
-<dcc:items><dcc:item><dcc:name><dcc:content lang="de">Kugelstab</dcc:content><dcc:content lang="en">ball bar</dcc:content>
+<dcc:items><dcc:item><dcc:name>
+<dcc:content lang="de">Kugelstab</dcc:content><dcc:content lang="en">ball bar</dcc:content>
 </dcc:name><dcc:manufacturer><dcc:name><dcc:content>Maker</dcc:content></dcc:name></dcc:manufacturer>
 <dcc:model>B5</dcc:model><dcc:identifications>
 <dcc:identification><dcc:issuer>customer</dcc:issuer><dcc:value>inventory 7</dcc:value></dcc:identification>
@@ -30,7 +31,8 @@ HEAD = """<?xml version="1.0" encoding="UTF-8"?>
 </dcc:respPerson></dcc:respPersons>
 <dcc:customer><dcc:name><dcc:content>Customer</dcc:content></dcc:name><dcc:location><dcc:city>X</dcc:city></dcc:location>
 </dcc:customer>
-<dcc:statements><dcc:statement refType="basic_validUntil"><dcc:date>2126-03-01</dcc:date></dcc:statement></dcc:statements>
+<dcc:statements><dcc:statement refType="basic_validUntil"><dcc:date>2126-03-01</dcc:date>
+</dcc:statement></dcc:statements>
 </dcc:administrativeData>
 <dcc:measurementResults><dcc:measurementResult>
 <dcc:name><dcc:content>Results</dcc:content></dcc:name><dcc:results>
@@ -42,7 +44,8 @@ TAIL = """</dcc:results></dcc:measurementResult></dcc:measurementResults></dcc:d
 def certificate(*results: str) -> bytes:
     """Return a certificate with the results, each of which has its quantities as text."""
     named = (
-        f"<dcc:result><dcc:name><dcc:content>Result {number}</dcc:content></dcc:name><dcc:data>{text}</dcc:data></dcc:result>"
+        f"<dcc:result><dcc:name><dcc:content>Result {number}</dcc:content></dcc:name>"
+        f"<dcc:data>{text}</dcc:data></dcc:result>"
         for number, text in enumerate(results, start=1)
     )
     return f"{HEAD}{''.join(named)}{TAIL}".encode()

@@ -24,8 +24,8 @@ CHILDREN = {
     "software": "name release type? description?",
     "refTypeDefinitions": "refTypeDefinition+",
     "refTypeDefinition": "name description? namespace link release? value? procedure?",
-    "coreData": "countryCodeISO3166_1 usedLangCodeISO639_1+ mandatoryLangCodeISO639_1+ uniqueIdentifier identifications? "
-    "receiptDate? beginPerformanceDate endPerformanceDate performanceLocation issueDate? reportAmendedSubstituted? "
+    "coreData": "countryCodeISO3166_1 usedLangCodeISO639_1+ mandatoryLangCodeISO639_1+ uniqueIdentifier "
+    "identifications? receiptDate? beginPerformanceDate endPerformanceDate performanceLocation issueDate? reportAmendedSubstituted? "
     "previousReport?",
     "identifications": "identification+",
     "identification": "issuer value name?",
@@ -44,12 +44,12 @@ CHILDREN = {
     "cryptElectronicTimeStamp?",
     "statements": "statement+",
     "statement": "name? description? countryCodeISO3166_1* convention? traceable? norm* reference* link* declaration? "
-    "(valid|validXMLList)? date? period? respAuthority? (conformity|conformityXMLList)? data? nonSIDefinition? nonSIUnit? "
-    "location?",
+    "(valid|validXMLList)? date? period? respAuthority? (conformity|conformityXMLList)? data? nonSIDefinition? "
+    "nonSIUnit? location?",
     "measurementResults": "usedMethods? usedSoftware? measuringEquipments? influenceConditions? measurementMetaData? "
     "measurementResult+",
-    "measurementResult": "name description? usedMethods? usedSoftware? measuringEquipments? influenceConditions? results "
-    "measurementMetaData?",
+    "measurementResult": "name description? usedMethods? usedSoftware? measuringEquipments? influenceConditions? "
+    "results measurementMetaData?",
     "usedMethods": "usedMethod+",
     "usedMethod": "name description? norm* reference* link* usedMethodQuantities?",
     "measuringEquipments": "name? equipmentClass* description? owner? identifications? measuringEquipment+",
@@ -129,7 +129,12 @@ def _of(element: etree._Element, above: str) -> Iterator[str]:
     if "refType" in element.attrib and not element.get("refType", "").split():
         yield f"{path}: empty refType"
     in_si = namespace == SI
-    expects_si = above.rsplit("/", 1)[-1] in ("real", "expandedMU", "coverageIntervalMU", "measurementUncertaintyUnivariate")
+    expects_si = above.rsplit("/", 1)[-1] in (
+        "real",
+        "expandedMU",
+        "coverageIntervalMU",
+        "measurementUncertaintyUnivariate",
+    )
     if in_si != (expects_si or name == "real"):
         yield f"{path}: namespace {namespace}"
     children = [etree.QName(child).localname for child in element]

@@ -125,8 +125,8 @@ def _warnings(certificate: ArtefactCertificate, document: CheckedDocument, today
         )
     if document.trust is Trust.UNKNOWN_SIGNER:
         warnings.append(
-            "The signature is intact, but the SIGNER IS NOT CHECKED: anybody could have signed it. Pass the certificate "
-            f"of the laboratory with --trusted. Signed by {document.signer}"
+            "The signature is intact, but the SIGNER IS NOT CHECKED: anybody could have signed it. Pass the "
+            f"certificate of the laboratory with --trusted. Signed by {document.signer}"
         )
     until = certificate.identity.until
     if until is not None and until < today:

@@ -62,8 +62,8 @@ class CheckedDocument:
 def check_signature(content: bytes, source: str, trusted: Sequence[Path] = ()) -> CheckedDocument:
     """Return the signed part of the XML document `content`, and who signed it.
 
-    `trusted` are files with certificates (PEM) of signers, or of authorities that certify signers. A signature is always
-    checked: InputError is raised if the document was changed since it was signed, or if the signature cannot be
+    `trusted` are files with certificates (PEM) of signers, or of authorities that certify signers. A signature is
+    always checked: InputError is raised if the document was changed since it was signed, or if the signature cannot be
     checked. It is also raised if `trusted` is not empty and no trusted signer has signed the whole document.
     """
     known = [certificate for path in trusted for certificate in _certificates(path)]
@@ -98,9 +98,7 @@ def check_signature(content: bytes, source: str, trusted: Sequence[Path] = ()) -
 def _verified(content: bytes, leaf: x509.Certificate, source: str) -> list[VerifyResult]:
     """Return what the signature covers, if it was made with the key of the certificate `leaf`. Its time of validity
     does not matter here: the document was signed earlier."""
-    config = SignatureConfiguration(
-        location="./", expect_references=False, verification_time=leaf.not_valid_before_utc
-    )
+    config = SignatureConfiguration(location="./", expect_references=False, verification_time=leaf.not_valid_before_utc)
     try:
         found = XMLVerifier().verify(content, x509_cert=leaf, expect_config=config)
     except _FAILURES as error:
@@ -165,7 +163,9 @@ def _certificates(path: Path) -> list[x509.Certificate]:
         raise InputError(f"the file cannot be read: {error.strerror or error}", file=str(path)) from None
     except (ValueError, UnsupportedAlgorithm):
         raise InputError(
-            "the file has no certificate in PEM form", hint="it must begin with -----BEGIN CERTIFICATE-----", file=str(path)
+            "the file has no certificate in PEM form",
+            hint="it must begin with -----BEGIN CERTIFICATE-----",
+            file=str(path),
         ) from None
 
 

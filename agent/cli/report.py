@@ -44,11 +44,17 @@ LAST = "last"
 @click.option("--language", type=click.Choice(LANGUAGES), help="Language of the report [default: `report.language`].")
 @steps_option
 @click.option(
-    "--dcc", type=PATH, metavar="FILE.xml", help="Write the result as a digital calibration certificate instead; with --pdf, it holds the PDF."
+    "--dcc",
+    type=PATH,
+    metavar="FILE.xml",
+    help="Write the result as a digital calibration certificate instead; with --pdf, it holds the PDF.",
 )
 @click.option("--signing-key", type=PATH, metavar="KEY.pem", help="Key of its signature [default: `report.signature`].")
 @click.option(
-    "--signing-certificate", type=PATH, metavar="CERT.pem", help="Certificate of that key [default: `report.signature`]."
+    "--signing-certificate",
+    type=PATH,
+    metavar="CERT.pem",
+    help="Certificate of that key [default: `report.signature`].",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 @reported
@@ -109,7 +115,9 @@ def _write_certificate(
     signature = SignatureSettings(
         key_file=key or settings.signature.key_file, certificate_file=certificate or settings.signature.certificate_file
     )
-    signer: Signer | None = signer_of(signature.key_file, signature.certificate_file, now, key_is_stated=key is not None)
+    signer: Signer | None = signer_of(
+        signature.key_file, signature.certificate_file, now, key_is_stated=key is not None
+    )
     content = certificate_from_journal(
         directory, run_id, settings, now.date(), language=language, with_pdf=with_pdf, signer=signer
     )

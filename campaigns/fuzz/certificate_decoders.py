@@ -17,7 +17,8 @@ from twin.formats.digital_certificate.certificate import parse_certificate
 _COLUMNS = "".join(
     "<si:columnXMLList><si:covarianceXMLList><si:valueXMLList>"
     + " ".join("0.25" if row == column else "0" for row in range(6))
-    + r"</si:valueXMLList><si:unitXMLList>\micro\metre\tothe{2}</si:unitXMLList></si:covarianceXMLList></si:columnXMLList>"
+    + r"</si:valueXMLList><si:unitXMLList>\micro\metre\tothe{2}</si:unitXMLList>"
+    "</si:covarianceXMLList></si:columnXMLList>"
     for column in range(6)
 )
 CERTIFICATE = rf"""<?xml version="1.0" encoding="UTF-8"?>

@@ -36,7 +36,9 @@ def artefact_group() -> None:
     metavar="FILE",
     help="Artefact file (TOML) of the same artefact, with its holders and bodies and the frame of the mount.",
 )
-@click.option("--out", type=PATH, required=True, metavar="FILE", help="Artefact file to write; it may be that of --like.")
+@click.option(
+    "--out", type=PATH, required=True, metavar="FILE", help="Artefact file to write; it may be that of --like."
+)
 @click.option(
     "--trusted",
     type=PATH,

@@ -73,7 +73,12 @@ def _missing(document: ReportSettings) -> Iterator[str]:
 
 
 def add_administration(
-    root: etree._Element, data: ReportData, found: IdentificationData, language: Language, issued: datetime.date, t: Texts
+    root: etree._Element,
+    data: ReportData,
+    found: IdentificationData,
+    language: Language,
+    issued: datetime.date,
+    t: Texts,
 ) -> None:
     """Add the administrative data of a report whose settings are complete."""
     stated = data.document
@@ -169,8 +174,8 @@ def _add_statements(head: etree._Element, data: ReportData, found: Identificatio
         add_words(
             issuer,
             "declaration",
-            "The issuer does not state an accreditation. This document is not a calibration certificate of an accredited "
-            "laboratory.",
+            "The issuer does not state an accreditation. This document is not a calibration certificate of an "
+            "accredited laboratory.",
         )
     notes = (*calibration_notes(data, t), *data.warnings)
     for title, sentences in ((t["validity"], validity(data, found)), (t["note"], notes)):

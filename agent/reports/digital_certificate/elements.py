@@ -24,7 +24,9 @@ _DECIMALS: Final = 4
 
 def new_root() -> etree._Element:
     """Return the empty root element of a certificate."""
-    return etree.Element(f"{{{DCC}}}digitalCalibrationCertificate", schemaVersion=SCHEMA_VERSION, nsmap={"dcc": DCC, "si": SI})
+    return etree.Element(
+        f"{{{DCC}}}digitalCalibrationCertificate", schemaVersion=SCHEMA_VERSION, nsmap={"dcc": DCC, "si": SI}
+    )
 
 
 def add(parent: etree._Element, name: str, text: str | None = None, **attributes: str) -> etree._Element:

@@ -86,9 +86,7 @@ def _add_volumetric(listed: etree._Element, data: ReportData, found: Identificat
         if active
         else "Values with the compensation table are predicted: the table was not active after the run.",
     )
-    _add_quantity(
-        values, "volumetricError", t["tile_before"], summary.before_aligned, tolerance=tolerances.get("VE")
-    )
+    _add_quantity(values, "volumetricError", t["tile_before"], summary.before_aligned, tolerance=tolerances.get("VE"))
     _add_quantity(
         values,
         "volumetricCompensatedError",
@@ -120,7 +118,9 @@ def _add_conformity(quantity: etree._Element, stated: Conformity, tolerance: flo
     one = add(add(quantity, "measurementMetaData"), "metaData", refType="basic_conformity")
     add(one, "norm", "ISO 14253-1")
     if stated not in _STATED:
-        add_words(one, "declaration", "The tolerance lies within the uncertainty: no statement of conformity is possible.")
+        add_words(
+            one, "declaration", "The tolerance lies within the uncertainty: no statement of conformity is possible."
+        )
     else:
         add(one, "conformity", _STATED[stated])
     limit = add(add(one, "data"), "quantity", refType=f"{NAMESPACE}_tolerance")

@@ -18,7 +18,13 @@ from twin.formats.digital_certificate.dsi_units import METRE, factor_to, parse_u
 from twin.formats.digital_certificate.xml_reading import parse_xml
 
 TILTED = ball_bar(
-    "bar", balls=5, length_mm=400.0, tilt_rad=0.5, holder_length_mm=50.0, ball_diameter_mm=20.0, standard_uncertainty_mm=1.0
+    "bar",
+    balls=5,
+    length_mm=400.0,
+    tilt_rad=0.5,
+    holder_length_mm=50.0,
+    ball_diameter_mm=20.0,
+    standard_uncertainty_mm=1.0,
 )
 STRAIGHT = ball_bar("straight", balls=4, length_mm=300.0, tilt_rad=0.0, holder_length_mm=40.0, ball_diameter_mm=20.0)
 DEVIATIONS = np.random.default_rng(5).normal(0.0, 0.02, (5, 3))
@@ -95,7 +101,9 @@ def test_distances_are_joined_to_the_nominal_centres() -> None:
         assert np.linalg.norm(moved.balls[1:] - moved.balls[0], axis=1) == pytest.approx(lengths, abs=2e-3)
         assert moved.uncertified == (2,)
     with pytest.raises(DataError, match="of 4 balls, the artefact 'bar' has 5"):
-        certified_artefact(parse_certificate(certificate(expanded_list("ballDistances", lengths[:3], 2.0)), "c"), known, "")
+        certified_artefact(
+            parse_certificate(certificate(expanded_list("ballDistances", lengths[:3], 2.0)), "c"), known, ""
+        )
 
 
 def test_what_else_a_certificate_states_is_taken_over() -> None:
@@ -135,7 +143,12 @@ FORM = real("roundness", 0.1, r"\micro\metre")
         (GOOD, "https://ptb.de/si", "https://example.org/si", "no value that is understood"),
         (GOOD, r"<si:unitXMLList>\metre<", r"<si:unitXMLList>\second<", r"the unit '\\second' is not known"),
         (GOOD, r"<si:unitXMLList>\metre<", r"<si:unitXMLList>\kelvin<", "does not measure what is stated here"),
-        (GOOD, r"\micro\metre\tothe{2}", r"\micro\metre", r"covarianceMatrixXMLList/columnXMLList\[1\]/covarianceXMLList"),
+        (
+            GOOD,
+            r"\micro\metre\tothe{2}",
+            r"\micro\metre",
+            r"covarianceMatrixXMLList/columnXMLList\[1\]/covarianceXMLList",
+        ),
         (GOOD, "ballCentres", "ballMiddles", "the quantity 'volcal_ballMiddles' is not understood"),
         (GOOD, "<dcc:data>", "<dcc:data><dcc:formula/>", "the element formula of a result is not understood"),
         (GOOD, "<dcc:data>", f"<dcc:data>{FORM}", "'volcal_roundness' is not understood"),
@@ -144,7 +157,12 @@ FORM = real("roundness", 0.1, r"\micro\metre")
         (GOOD, "<dcc:uniqueIdentifier>D-K-1 2014-05", "<dcc:uniqueIdentifier> ", "the certificate has no number"),
         (GOOD, "</dcc:item>", "</dcc:item><dcc:item/>", "of 2 items, and not of one"),
         (GOOD, "covarianceMatrixXMLList>", "correlationMatrix>", "has no covariance matrix"),
-        (SINGLE, "measurementUncertaintyUnivariateXMLList", "doubt", "the element doubt of a quantity is not understood"),
+        (
+            SINGLE,
+            "measurementUncertaintyUnivariateXMLList",
+            "doubt",
+            "the element doubt of a quantity is not understood",
+        ),
         (SINGLE, "expandedMUXMLList", "guess", "the uncertainty 'guess' is not understood"),
         (SINGLE, "<si:coverageFactorXMLList>2", "<si:coverageFactorXMLList>0.5", "a coverage factor is less than 1"),
         (SINGLE, "ballCentreZ", "ballCentreX", "the numbers of X, Y and Z coordinates differ"),
@@ -238,6 +256,15 @@ def test_powers_and_quotients_of_units() -> None:
     assert dict(parse_unit(r"\kelvin\tothe{-1}").exponents) == {"kelvin": -1}
     assert dict(parse_unit(r"\metre\per\metre\kelvin").exponents) == {"kelvin": -1}
     assert parse_unit(r"\per\milli\metre").factor == pytest.approx(1e3)
-    for text in ("", "mm", r"\milli", r"\milli\milli\metre", r"\per", r"\metre\tothe", r"\metre\tothe{x}", "\\metre" * 99):
+    for text in (
+        "",
+        "mm",
+        r"\milli",
+        r"\milli\milli\metre",
+        r"\per",
+        r"\metre\tothe",
+        r"\metre\tothe{x}",
+        "\\metre" * 99,
+    ):
         with pytest.raises(DataError):
             parse_unit(text)

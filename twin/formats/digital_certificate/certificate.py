@@ -108,9 +108,7 @@ def parse_certificate(content: bytes, source: str, ignored: Sequence[str] = ()) 
     found.collect(_required(root, source, "measurementResults"))
     missed = [name for name in ignored if name not in found.used]
     if missed:
-        raise FormatError(
-            f"the certificate has no result or quantity '{missed[0]}' that could be ignored", file=source
-        )
+        raise FormatError(f"the certificate has no result or quantity '{missed[0]}' that could be ignored", file=source)
     return found.certificate(_identity(root, source))
 
 
@@ -270,10 +268,9 @@ class _Found:
         return refused(message, first, self.source)
 
 
-_PASSED = ("name", "description", "text", "dateTime", "dateTimeXMLList", "usedMethods", "usedSoftware") + (
-    "measuringEquipments",
-    "influenceConditions",
-    "measurementMetaData",
+_PASSED = (
+    *("name", "description", "text", "dateTime", "dateTimeXMLList", "usedMethods", "usedSoftware"),
+    *("measuringEquipments", "influenceConditions", "measurementMetaData"),
 )
 """Parts of results that do not change the values."""
 
@@ -313,7 +310,9 @@ def _identity(root: etree._Element, source: str) -> CertificateIdentity:
     items = children(_required(data, source, "items"), DCC, "item")
     if len(items) != 1:
         hint = "Ask the laboratory for a certificate of the artefact alone"
-        raise refused(f"the certificate is of {len(items)} items, and not of one", items[0] if items else data, source, hint)
+        raise refused(
+            f"the certificate is of {len(items)} items, and not of one", items[0] if items else data, source, hint
+        )
     item = items[0]
     manufacturer = child(item, DCC, "manufacturer")
     performed = _required(core, source, "endPerformanceDate")

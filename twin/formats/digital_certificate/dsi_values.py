@@ -46,14 +46,16 @@ class DsiValues:
 
 
 def read_values(quantity: etree._Element, exponents: Mapping[str, int], source: str) -> DsiValues:
-    """Return the values of a `dcc:quantity` in the SI unit with the `exponents`. Of a hybrid, which states a quantity in
-    several units, the first one is read.
+    """Return the values of a `dcc:quantity` in the SI unit with the `exponents`. Of a hybrid, which states a quantity
+    in several units, the first one is read.
 
     Raise FormatError, which names `source` and the element, if a part of the quantity cannot be understood.
     """
     relative = [one for one in quantity if local_name(one) == "relativeUncertainty"]
     if relative:
-        raise refused("a relative uncertainty is not understood", relative[0], source, "State it in the unit of the value")
+        raise refused(
+            "a relative uncertainty is not understood", relative[0], source, "State it in the unit of the value"
+        )
     found = child(quantity, SI, *VALUES)
     if found is not None and is_named(found, SI, "hybrid"):
         found = child(found, SI, *VALUES[:2])

@@ -1,7 +1,7 @@
 """Reading of XML that comes from outside, and the names and places of its elements.
 
-A digital calibration certificate (DCC) is sent by a laboratory, so its text is not trusted: it may have no document type
-declaration (and so no entities), nothing is loaded from elsewhere, and size and depth are limited.
+A digital calibration certificate (DCC) is sent by a laboratory, so its text is not trusted: it may have no document
+type declaration (and so no entities), nothing is loaded from elsewhere, and size and depth are limited.
 """
 
 from __future__ import annotations
@@ -34,7 +34,9 @@ def parse_xml(content: bytes, source: str) -> etree._Element:
     """
     if len(content) > MAX_BYTES:
         raise FormatError(
-            f"the XML file is larger than {MAX_BYTES // 1_000_000} MB", hint="Check that this is the right file", file=source
+            f"the XML file is larger than {MAX_BYTES // 1_000_000} MB",
+            hint="Check that this is the right file",
+            file=source,
         )
     parser = etree.XMLParser(
         resolve_entities=False,
@@ -110,7 +112,9 @@ def contents(element: etree._Element | None) -> Iterator[str]:
     if element is None:
         return
     found = [(one.get("lang", ""), " ".join(text_of(one).split())) for one in children(element, DCC, "content")]
-    yield from (text for _, text in sorted(found, key=lambda one: ("en", "").index(one[0]) if one[0] in ("en", "") else 2))
+    yield from (
+        text for _, text in sorted(found, key=lambda one: ("en", "").index(one[0]) if one[0] in ("en", "") else 2)
+    )
 
 
 def text_in_english(element: etree._Element | None) -> str:
