@@ -25,8 +25,8 @@ CHILDREN = {
     "refTypeDefinitions": "refTypeDefinition+",
     "refTypeDefinition": "name description? namespace link release? value? procedure?",
     "coreData": "countryCodeISO3166_1 usedLangCodeISO639_1+ mandatoryLangCodeISO639_1+ uniqueIdentifier "
-    "identifications? receiptDate? beginPerformanceDate endPerformanceDate performanceLocation issueDate? reportAmendedSubstituted? "
-    "previousReport?",
+    "identifications? receiptDate? beginPerformanceDate endPerformanceDate performanceLocation issueDate? "
+    "reportAmendedSubstituted? previousReport?",
     "identifications": "identification+",
     "identification": "issuer value name?",
     "items": "name? equipmentClass* description? owner? manufacturer? identifications? item+",
@@ -107,7 +107,10 @@ TEXTS = {
     "coverageProbability": r"0(\.\d*)?|1(\.0*)?",
     "unit": r"(\\[a-z]+(\{-?\d+\})?)+",
 }
-ATTRIBUTES = {"digitalCalibrationCertificate": {"schemaVersion"}, "content": {"lang"}}
+ATTRIBUTES = {
+    "digitalCalibrationCertificate": {"schemaVersion", "{http://www.w3.org/2001/XMLSchema-instance}schemaLocation"},
+    "content": {"lang"},
+}
 OF_SI = ("real", "value", "unit", "distribution", *TEXTS)
 
 
@@ -136,7 +139,7 @@ def _of(element: etree._Element, above: str) -> Iterator[str]:
         "measurementUncertaintyUnivariate",
     )
     if in_si != (expects_si or name == "real"):
-        yield f"{path}: namespace {namespace}"
+        yield f"{path}: namespace {namespace!r}"
     children = [etree.QName(child).localname for child in element]
     if name not in CHILDREN:
         text = element.text or ""

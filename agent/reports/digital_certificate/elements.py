@@ -18,15 +18,17 @@ UNITS: Final = {"µm": r"\micro\metre", "µrad": r"\micro\radian", "°C": r"\deg
 """D-SI of the units of reports."""
 COVERAGE_FACTOR, COVERAGE_PROBABILITY = "2", "0.95"
 
+_INSTANCE: Final = "http://www.w3.org/2001/XMLSchema-instance"
 _LONGEST: Final = 20_000
 _DECIMALS: Final = 4
 
 
 def new_root() -> etree._Element:
-    """Return the empty root element of a certificate."""
-    return etree.Element(
-        f"{{{DCC}}}digitalCalibrationCertificate", schemaVersion=SCHEMA_VERSION, nsmap={"dcc": DCC, "si": SI}
-    )
+    """Return the empty root element of a certificate, which names its schema."""
+    names = {"dcc": DCC, "si": SI, "xsi": _INSTANCE}
+    root = etree.Element(f"{{{DCC}}}digitalCalibrationCertificate", schemaVersion=SCHEMA_VERSION, nsmap=names)
+    root.set(f"{{{_INSTANCE}}}schemaLocation", f"{DCC} {DCC}/v{SCHEMA_VERSION}/dcc.xsd")
+    return root
 
 
 def add(parent: etree._Element, name: str, text: str | None = None, **attributes: str) -> etree._Element:

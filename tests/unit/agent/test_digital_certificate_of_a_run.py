@@ -7,6 +7,8 @@ import datetime
 import os
 from collections.abc import Sequence
 from dataclasses import replace
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -132,9 +134,9 @@ def local_parser(folder: Path) -> etree.XMLParser:
     """Return a parser that finds what a schema imports by its file name in the folder, and never in the network."""
 
     class Local(etree.Resolver):
-        def resolve(self, system_url: str, public_id: str, context: object) -> object:
+        def resolve(self, system_url: str, public_id: str, context: object) -> Any:  # type: ignore[override]
             found = next(folder.rglob(system_url.rsplit("/", 1)[-1]), None)
-            return None if found is None else self.resolve_filename(str(found), context)  # type: ignore[arg-type]
+            return None if found is None else self.resolve_filename(str(found), context)  # type: ignore[attr-defined]
 
     parser = etree.XMLParser(no_network=True)
     parser.resolvers.add(Local())
@@ -267,9 +269,9 @@ def test_a_signer_needs_a_key_of_its_own_and_its_certificate(tmp_path: Path, mon
     signer_in(tmp_path)
     key, certificate = tmp_path / "key.pem", tmp_path / "cert.pem"
     assert signer_of(None, None, NOW, key_is_stated=False) is None
-    for one in ((key, None), (None, certificate)):
+    for one, other in ((key, None), (None, certificate)):
         with pytest.raises(ConfigurationError, match="needs both a key and its certificate"):
-            signer_of(*one, NOW, key_is_stated=False)
+            signer_of(one, other, NOW, key_is_stated=False)
     assert signer_of(key, certificate, NOW, key_is_stated=True) is not None
     key.chmod(0o644)
     with pytest.raises(ConfigurationError, match=r"can be read by others \(mode 0644\)"):
@@ -286,3 +288,19 @@ def test_a_signer_needs_a_key_of_its_own_and_its_certificate(tmp_path: Path, mon
 def test_a_laboratory_that_cannot_be_is_refused(changes: dict[str, Any]) -> None:
     with pytest.raises(FormatError, match=rf"laboratory\.{next(iter(changes))}"):
         settings(laboratory=changes)
+
+
+def test_it_follows_the_rules_of_good_practice(root: etree._Element, data: ReportData) -> None:
+    """The Schematron rules that PTB publishes with dcclib, if that package is installed; it is not a dependency."""
+    if find_spec("dcclib") is None:
+        pytest.skip(f"{NOT_HERE}: dcclib with the rules of good practice of PTB is not installed")
+    validator = import_module("dcclib.validation.schematron").SchematronValidator.for_dcc()
+
+    def errors(text: str) -> list[str]:
+        found = validator.validate_str(text)
+        return [one.text for one in (*found.failed_assertions, *found.successful_reports) if one.role == "error"]
+
+    for one in (root, read(certificate_of_report(data, settings(), DAY))):
+        text = etree.tostring(one, encoding="unicode")
+        assert errors(text) == []
+        assert errors(text.replace(">v1.2.3<", ">1.2.3<")) != []
