@@ -28,8 +28,8 @@ _LONGEST = 400
 
 @dataclass(frozen=True)
 class ImportRequest:
-    """What is asked for: the certificate in `file` as the artefact file `out`, with what it does not state from the
-    artefact file `like`. Names in `ignored` are not read; `trusted` are files with certificates of signers."""
+    """Request to write the certificate in `file` as the artefact file `out`. The artefact file `like` states the rest.
+    Names in `ignored` are not read; `trusted` are files with certificates of signers."""
 
     file: Path
     like: Path

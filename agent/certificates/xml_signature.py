@@ -37,7 +37,7 @@ PrivateKey = rsa.RSAPrivateKey | ec.EllipticCurvePrivateKey
 
 
 class Trust(Enum):
-    """What a signature says about a document."""
+    """Statement of a signature about a document."""
 
     UNSIGNED = "not signed"
     UNKNOWN_SIGNER = "signed by somebody who is not known to be trusted"

@@ -54,7 +54,7 @@ class Instrument(StrictModel):
 
 
 class Laboratory(StrictModel):
-    """Who issues digital certificates, as their contact. `code` is that of the accreditation, `country` the code of ISO
+    """Issuer of digital certificates. `code` is that of the accreditation, `country` the code of ISO
     3166-1, and `performed_at` says where the machine stands."""
 
     name: Words | None = None

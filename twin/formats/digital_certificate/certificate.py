@@ -41,8 +41,11 @@ _VALIDITY = ("nextCalibrationDate", "validUntil")
 
 @dataclass(frozen=True)
 class CertificateIdentity:
-    """Who certified what and when. `until` is the end of the validity, or the date of the next calibration; it is None
-    if the certificate states none. Texts that are not stated are empty."""
+    """Certified item, laboratory, number and dates of a certificate.
+
+    `until` is the end of the validity, or the date of the next calibration; it is None if the certificate states none.
+    Texts that are not stated are empty.
+    """
 
     number: str
     laboratory: str

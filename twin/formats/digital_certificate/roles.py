@@ -1,4 +1,4 @@
-"""What a quantity of a certificate states about a ball artefact: told by its `refType`, or else by its name."""
+"""Meaning of the quantities of a certificate for a ball artefact, by their `refType` or else by their name."""
 
 from __future__ import annotations
 
