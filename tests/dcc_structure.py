@@ -111,7 +111,6 @@ ATTRIBUTES = {
     "digitalCalibrationCertificate": {"schemaVersion", "{http://www.w3.org/2001/XMLSchema-instance}schemaLocation"},
     "content": {"lang"},
 }
-OF_SI = ("real", "value", "unit", "distribution", *TEXTS)
 
 
 def complaints(root: etree._Element) -> Iterator[str]:
@@ -128,7 +127,7 @@ def _of(element: etree._Element, above: str) -> Iterator[str]:
     if namespace == DS:
         return  # checked by the schema of the signature itself
     allowed = {"id", "refId", "refType"} | ATTRIBUTES.get(name, set())
-    yield from (f"{path}: attribute {one}" for one in element.attrib if one not in allowed)
+    yield from (f"{path}: attribute {one!r}" for one in element.attrib if one not in allowed)
     if "refType" in element.attrib and not element.get("refType", "").split():
         yield f"{path}: empty refType"
     in_si = namespace == SI

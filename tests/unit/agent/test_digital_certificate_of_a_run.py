@@ -134,7 +134,7 @@ def local_parser(folder: Path) -> etree.XMLParser:
     """Return a parser that finds what a schema imports by its file name in the folder, and never in the network."""
 
     class Local(etree.Resolver):
-        def resolve(self, system_url: str, public_id: str, context: object) -> Any:  # type: ignore[override]
+        def resolve(self, system_url: str, _: str, context: object) -> Any:  # type: ignore[override]
             found = next(folder.rglob(system_url.rsplit("/", 1)[-1]), None)
             return None if found is None else self.resolve_filename(str(found), context)  # type: ignore[attr-defined]
 
