@@ -10,6 +10,8 @@ from cryptography.hazmat.primitives.asymmetric import ed25519, rsa
 from cryptography.hazmat.primitives.serialization import BestAvailableEncryption, Encoding, NoEncryption, PrivateFormat
 from lxml import etree
 from signers import NOW, Identity, identity
+from signxml.algorithms import SignatureMethod
+from signxml.xades import XAdESSigner
 
 from agent.certificates.xml_signature import Signer, Trust, check_signature
 from drivers.errors import ConfigurationError, InputError
@@ -105,6 +107,20 @@ def test_a_part_that_was_signed_does_not_vouch_for_the_whole(tmp_path: Path) -> 
     for trusted in ([], [pem(LABORATORY, tmp_path)]):
         with pytest.raises(InputError):
             check_signature(etree.tostring(outer), "d.xml", trusted)
+
+
+def test_a_signature_that_also_covers_its_own_properties_is_checked(tmp_path: Path) -> None:
+    """XAdES, as seals of laboratories are made: two references, of which one is the document."""
+    signer = XAdESSigner(signature_algorithm=SignatureMethod.ECDSA_SHA256)
+    cert = STRANGER.pem.decode("ascii")
+    signed = etree.tostring(signer.sign(etree.fromstring(TEXT), key=STRANGER.key_pem, cert=cert))
+    found = check_signature(signed, "d.xml", [pem(STRANGER, tmp_path)])
+    assert found.trust is Trust.TRUSTED
+    assert etree.fromstring(found.content).findtext("{urn:c}value") == "1.5"
+    for old, new in ((b">1.5<", b">1.6<"), (b"SigningTime>20", b"SigningTime>19")):
+        assert old in signed
+        with pytest.raises(InputError, match="the signature is not valid"):
+            check_signature(signed.replace(old, new), "d.xml")
 
 
 def test_several_signatures_are_refused(tmp_path: Path) -> None:

@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from certificate_text import centres_with_covariance, certificate, expanded_list, real
+from certificate_text import centres_with_covariance, certificate, expanded_list, quantity, real, words
 
 from twin.artefact.artefact import Artefact, ball_bar
 from twin.errors import DataError, FormatError
+from twin.formats.artefact_file import parse_artefact
 from twin.formats.digital_certificate import xml_reading
 from twin.formats.digital_certificate.certificate import parse_certificate
 from twin.formats.digital_certificate.certified_artefact import certified_artefact
@@ -268,3 +269,59 @@ def test_powers_and_quotients_of_units() -> None:
     ):
         with pytest.raises(DataError):
             parse_unit(text)
+
+
+def test_older_and_other_forms_of_uncertainty_are_read() -> None:
+    """D-SI before 2.1 for the covariance; an interval with its standard uncertainty; the first unit of a hybrid."""
+    covariance = covariance_of(5)
+    columns = "".join(
+        "<si:column>"
+        + "".join(
+            f"<si:covariance><si:value>{1e-6 * float(one)!r}</si:value>"
+            r"<si:unit>\metre\tothe{2}</si:unit></si:covariance>"
+            for one in column
+        )
+        + "</si:column>"
+        for column in covariance.T
+    )
+    old = quantity(
+        "ballCentres",
+        f"<si:realListXMLList><si:valueXMLList>{words(TILTED.balls)}</si:valueXMLList>"
+        r"<si:unitXMLList>\milli\metre</si:unitXMLList>"
+        f"<si:ellipsoidalRegionXMLList><si:covarianceMatrix>{columns}</si:covarianceMatrix>"
+        "</si:ellipsoidalRegionXMLList></si:realListXMLList>",
+    )
+    expansion = quantity(
+        "thermalExpansionCoefficient",
+        r"<si:hybrid><si:real><si:value>0.0000119</si:value><si:unit>\kelvin\tothe{-1}</si:unit>"
+        "<si:measurementUncertaintyUnivariate><si:coverageIntervalMU><si:valueStandardMU>2e-7</si:valueStandardMU>"
+        "<si:intervalMin>1.15e-5</si:intervalMin><si:intervalMax>1.23e-5</si:intervalMax>"
+        "</si:coverageIntervalMU></si:measurementUncertaintyUnivariate></si:real>"
+        "<si:real><si:value>11.9</si:value><si:unit>ppm/K</si:unit></si:real></si:hybrid>",
+    )
+    reference = real("referenceTemperature", 20.5, r"\degreecelsius")
+    found = parse_certificate(certificate(old + expansion + reference), "c.xml")
+    assert found.covariance == pytest.approx(covariance)
+    assert found.expansion == pytest.approx((11.9e-6, 0.2e-6))
+    assert found.reference_temperature_c == 20.5
+
+
+def test_a_covariance_must_agree_with_the_uncertainties_beside_it() -> None:
+    doubt = (
+        "<si:measurementUncertaintyUnivariateXMLList><si:standardMUXMLList><si:valueStandardMUXMLList>{}"
+        "</si:valueStandardMUXMLList></si:standardMUXMLList></si:measurementUncertaintyUnivariateXMLList>"
+        "<si:measurementUncertaintyMultivariateXMLList>"
+    )
+    sigma = np.sqrt(np.diagonal(covariance_of(5))) / 1e3
+    for factor in (1.0, 1.2):
+        text = GOOD.replace("<si:measurementUncertaintyMultivariateXMLList>", doubt.format(words(factor * sigma)))
+        if factor == 1.0:
+            assert parse_certificate(text.encode(), "c.xml").covariance == pytest.approx(covariance_of(5))
+        else:
+            with pytest.raises(FormatError, match="the covariance contradicts the uncertainties"):
+                parse_certificate(text.encode(), "c.xml")
+
+
+def test_a_certificate_in_place_of_an_artefact_file_is_told_where_to_go() -> None:
+    with pytest.raises(FormatError, match="volcal artefact import"):
+        parse_artefact(GOOD, "c.xml")
