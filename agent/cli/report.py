@@ -21,7 +21,6 @@ from agent.language.sentences import LANGUAGES, Language
 if will_run():
     import datetime
 
-    from agent.certificates.xml_signature import Signer, signer_of
     from agent.cli.step_lists import write_run_steps
     from agent.execution.run_record import run_ids
     from agent.files import write_all_atomically
@@ -73,8 +72,8 @@ def report_command(
     """Write the report of RUN (its identity, or `last`) from the journal alone, whatever the outcome of the run."""
     if dcc is None and (signing_key, signing_certificate) != (None, None):
         raise click.UsageError("--signing-key and --signing-certificate belong to --dcc")
-    if dcc is not None and out is not None:
-        raise click.UsageError("--dcc and --out exclude each other: --dcc names the file")
+    if dcc is not None and (out is not None or steps is not None):
+        raise click.UsageError("--dcc excludes --out and --steps: it names the one file that is written")
     with naming(config):
         settings = read_settings(config)
     directory = settings.state_directory
@@ -85,10 +84,10 @@ def report_command(
     chosen = language or settings.report.language
     if dcc is not None:
         with naming(config):
-            files = _write_certificate(
+            printed = _write_certificate(
                 dcc, directory, run_id, settings.report, chosen, pdf, (signing_key, signing_certificate)
             )
-        click.echo(json.dumps(files) if as_json else files["files"][0])
+        click.echo(json.dumps(printed) if as_json else printed["files"][0])
         return
     folder = out or directory / run_id
     files = render_from_journal(directory, run_id, pdf=pdf, language=chosen)
@@ -108,16 +107,16 @@ def _write_certificate(
 ) -> dict[str, Any]:
     """Write the digital certificate of a run and return what is printed of it. `files` are the key and the certificate
     of its signature, each of which is None for that of the settings. A warning says if it is not signed."""
-    from agent.reports.digital_certificate.from_journal import certificate_from_journal  # noqa: PLC0415  matplotlib
+    # only this option needs XML and its signatures
+    from agent.certificates.xml_signature import signer_of  # noqa: PLC0415
+    from agent.reports.digital_certificate.from_journal import certificate_from_journal  # noqa: PLC0415
 
     now = datetime.datetime.fromisoformat(utc_timestamp())
     key, certificate = files
     signature = SignatureSettings(
         key_file=key or settings.signature.key_file, certificate_file=certificate or settings.signature.certificate_file
     )
-    signer: Signer | None = signer_of(
-        signature.key_file, signature.certificate_file, now, key_is_stated=key is not None
-    )
+    signer = signer_of(signature.key_file, signature.certificate_file, now, key_is_stated=key is not None)
     content = certificate_from_journal(
         directory, run_id, settings, now.date(), language=language, with_pdf=with_pdf, signer=signer
     )
