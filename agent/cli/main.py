@@ -68,6 +68,11 @@ OWN_COMMANDS = {
         "Answer the open question of the run; `volcal status` shows it with its number.",
         logs=False,
     ),
+    "artefact": OwnCommand(
+        "agent.cli.offline_commands.artefact:artefact_group",
+        "Import the digital calibration certificate of an artefact.",
+        logs=False,
+    ),
     "calibrate": OwnCommand(
         "agent.cli.run_commands.calibrate:calibrate_command",
         "Measure, identify, write the table and verify it; restore the previous table if the check fails.",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import date
+from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, PositiveFloat, StringConstraints, model_validator
@@ -52,6 +53,33 @@ class Instrument(StrictModel):
         return self
 
 
+class Laboratory(StrictModel):
+    """Issuer of digital certificates. `code` is that of the accreditation, `country` the code of ISO
+    3166-1, and `performed_at` says where the machine stands."""
+
+    name: Words | None = None
+    code: Words | None = None
+    street: Words | None = None
+    post_code: Words | None = None
+    city: Words | None = None
+    country: Annotated[str, Field(pattern="^[A-Z]{2}$")] | None = None
+    e_mail: Words | None = None
+    performed_at: Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"] = "other"
+
+
+class SignatureSettings(StrictModel):
+    """Key and certificate with which digital certificates are signed, both in PEM form. The key is the credential
+    ``certificate-key`` of systemd or the content of `key_file`."""
+
+    key_file: Path | None = None
+    certificate_file: Path | None = None
+
+    def resolved(self, base: Path) -> Self:
+        """Return these settings with relative paths resolved against the directory `base`."""
+        paths = {name: getattr(self, name) for name in ("key_file", "certificate_file")}
+        return self.model_copy(update={name: (base / path).resolve() for name, path in paths.items() if path})
+
+
 class ReportSettings(StrictModel):
     """Report of a run.
 
@@ -60,6 +88,8 @@ class ReportSettings(StrictModel):
     the run. `customer`, `place`, `operator`, `machine` and `instruments` are shown at the head of the report, and
     `procedures` beside the standards. `measured_by` and `approved_by` are the names below the lines for signatures.
     What is not stated is shown as "not stated".
+
+    `laboratory` and `signature` are those of digital certificates (`volcal report --dcc`).
 
     `tolerances` maps geometric errors of ISO 230-1 (such as EXX or A0Z), the volumetric error VE and the volumetric
     compensated error VCE to their tolerances in µm or µrad. That of a geometric error is compared with its range over
@@ -77,3 +107,9 @@ class ReportSettings(StrictModel):
     machine: MachineIdentity = MachineIdentity()
     instruments: list[Instrument] = Field(default=[], max_length=30)
     tolerances: dict[Tolerated, PositiveFloat] = Field(default={})
+    laboratory: Laboratory = Laboratory()
+    signature: SignatureSettings = SignatureSettings()
+
+    def resolved(self, base: Path) -> Self:
+        """Return these settings with relative paths resolved against the directory `base`."""
+        return self.model_copy(update={"signature": self.signature.resolved(base)})

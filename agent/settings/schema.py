@@ -383,7 +383,7 @@ class Settings(StrictModel):
     def resolved(self, base: Path) -> Settings:
         """Return these settings with relative paths resolved against the directory `base`."""
         paths = {name: (base / getattr(self, name)).resolve() for name in ("machine", "artefact", "state_directory")}
-        doors = ("service", "gateway", "opcua", "history", "notifications")
+        doors = ("service", "gateway", "opcua", "history", "notifications", "report")
         sections = {name: getattr(self, name).resolved(base) for name in doors}
         return self.model_copy(update={**paths, **sections, "stations": self.stations.resolved(base)})
 

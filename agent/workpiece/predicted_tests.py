@@ -12,10 +12,12 @@ from agent.files import translated
 from agent.workpiece.estimate_and_table import read_estimate_and_table
 from agent.workpiece.predicted_features import error_document
 from twin.arrays import Array
+from twin.compensation.table import CompensationTable
 from twin.machine.error_model import Ranges
 from twin.units import UM_PER_MM
 from twin.workpiece.acceptance import PredictedTest, acceptance_tests, predict_tests
 from twin.workpiece.features import Measure
+from twin.workpiece.machine_field import MachineKnowledge
 
 _DIGITS = 4
 _RADII_MM = (150.0, 100.0, 50.0, 25.0, 10.0)
@@ -75,6 +77,18 @@ def predict_acceptance(request: AcceptanceRequest) -> PredictedTests:
         tests = acceptance_tests(ranges, known.tool_offset_mm, centre, radii_mm)
         predicted = predict_tests(known.estimate, tests, known.tool_offset_mm, known.table)
     return PredictedTests(predicted, centre, known.tool_offset_mm, known.table_name)
+
+
+def predicted_tests(
+    estimate: MachineKnowledge, tool_offset: Array, table: CompensationTable | None = None
+) -> tuple[PredictedTest, ...]:
+    """Return the predicted figures of the tests about the middle of the travel, with circles of the usual radius that
+    fits, for a tool with the offset `tool_offset` (3,) in mm. Raises InputError if a circle leaves the travel."""
+    ranges = estimate.model.ranges_mm
+    centre = np.mean(ranges, axis=1)
+    with translated():
+        tests = acceptance_tests(ranges, tool_offset, centre, (_fitting_radius(ranges, centre),))
+        return predict_tests(estimate, tests, tool_offset, table)
 
 
 def _fitting_radius(ranges: Ranges, centre: Array) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 
 from agent.files import read_text
 from agent.settings.schema import parse_settings
+from campaigns.fuzz.certificate_decoders import certificate_decoders
 from campaigns.fuzz.memory_file import MemoryFile, MemoryFolder
 from campaigns.fuzz.trial import Decoder
 from campaigns.part_programs.comparison import SETUP, TABLE
@@ -87,6 +88,7 @@ def file_decoders() -> Iterator[Decoder]:
     yield Decoder("bank of a controller (text)", [bank.encode()], _decoding(parse_bank))
     yield Decoder("part program", [PROGRAM], _correct)
     yield Decoder("punched tape", [PUNCHED], _decoding(parse_tape), (TapeError,))
+    yield from certificate_decoders()
 
 
 def estimate_decoder(text: str) -> Decoder:

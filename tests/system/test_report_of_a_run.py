@@ -11,9 +11,13 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
+from dcc_structure import complaints
+from lxml import etree
 from nights import Night, short_document
+from signers import identity
 from volcal_command import volcal, volcal_json
 
+from agent.certificates.xml_signature import Trust, check_signature
 from agent.execution.journal_compaction import packed_record, store_packed
 from agent.execution.journal_copy import copy_journal
 from agent.execution.run_record import read_record, run_heads
@@ -285,3 +289,35 @@ def test_the_command(season: Season, tmp_path: Path) -> None:
     result = volcal("report", "last", "--config", config, "--out", out, "--pdf", "--json")
     assert json.loads(result.stdout)["run_id"] == season.aborted.outcome.run_id
     assert sorted(path.name for path in out.iterdir()) == ["report.html", "report.pdf"]
+
+
+def test_the_command_writes_a_digital_certificate(season: Season, tmp_path: Path) -> None:
+    """Unsigned with a warning, signed by the key of the settings, and with a word on what is missing."""
+    config, file, run_id = (
+        minimal_config(tmp_path, season),
+        tmp_path / "new" / "dcc.xml",
+        season.calibrated.outcome.run_id,
+    )
+    refused = volcal("report", run_id, "--config", config, "--dcc", file, exit_code=2)
+    assert "report.laboratory.name, report.laboratory.city, report.laboratory.country" in refused.stderr
+    assert not file.exists()
+    who = identity("Laboratory")
+    (tmp_path / "key.pem").write_bytes(who.key_pem)
+    (tmp_path / "key.pem").chmod(0o600)
+    (tmp_path / "cert.pem").write_bytes(who.pem)
+    config.write_text(
+        config.read_text() + '[report]\ncustomer = "C"\nmeasured_by = "A"\n[report.machine]\nserial_number = "7"\n'
+        '[report.laboratory]\nname = "L"\ncity = "T"\ncountry = "DE"\n'
+    )
+    done = volcal("report", run_id, "--config", config, "--dcc", file)
+    assert (done.stdout.strip(), "NOT SIGNED" in done.stderr) == (str(file), True)
+    assert list(complaints(etree.parse(file).getroot())) == []
+    # also the figures of ISO 230 with the table that the run wrote
+    assert "with compensation table" in file.read_text(encoding="utf-8")
+    with config.open("a") as settings:
+        settings.write('[report.signature]\nkey_file = "key.pem"\ncertificate_file = "cert.pem"\n')
+    done = volcal("report", run_id, "--config", config, "--dcc", file, "--json")
+    assert (json.loads(done.stdout)["signed"], done.stderr) == (True, "")
+    assert check_signature(file.read_bytes(), "dcc.xml", [tmp_path / "cert.pem"]).trust is Trust.TRUSTED
+    none = volcal("report", season.aborted.outcome.run_id, "--config", config, "--dcc", file, exit_code=2)
+    assert "no result that can be certified" in none.stderr

@@ -175,6 +175,12 @@ def parse_artefact(text: str, source: str, read_text: ReadText | None = None) ->
     impossible. If the text names a file with the covariance of the ball centres, the function `read_text` is called
     with its path and returns its text.
     """
+    if text.lstrip().startswith("<"):
+        raise FormatError(
+            "this is XML and not an artefact file",
+            hint="Import a digital calibration certificate with `volcal artefact import`",
+            file=source,
+        )
     document = read_toml(text, source, ArtefactDocument)
     balls, holder = _balls(document)
     covariance = _covariance(document, len(balls), source, read_text)

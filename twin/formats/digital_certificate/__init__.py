@@ -1,0 +1,1 @@
+"""Digital calibration certificate (DCC) of a ball artefact: XML in the schema of PTB with quantities in D-SI."""
