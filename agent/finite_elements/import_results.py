@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +43,7 @@ class ImportOptions:
     offset_mm: Array
     node: int | None = None
     probe: Components | None = None
-    mesh: ProbeOptions = ProbeOptions(within=1.0)
+    mesh: ProbeOptions = field(default_factory=lambda: ProbeOptions(within=1.0))
     fill: bool = False
     any_size: bool = False
 
@@ -131,10 +131,11 @@ def _read_all(
         raise InputError(message, hint=hint, file=str(table))
     if not found:
         raise InputError("no position of the table has a result", file=str(table))
-    every = [(name, step) for name, steps in texts.items() for step in steps.by_step]
+    every: list[tuple[str, int | None]] = [(name, step) for name, steps in texts.items() for step in steps.by_step]
     every += [(name, None) for name in meshes]
-    return found, tuple(name if step is None else f"load step {step} of {name}" for name, step in every
-                        if (name, step) not in used)
+    return found, tuple(
+        name if step is None else f"load step {step} of {name}" for name, step in every if (name, step) not in used
+    )
 
 
 def _of_one_table(files: Sequence[Path]) -> tuple[list[_Found], tuple[str, ...]]:

@@ -15,9 +15,9 @@ import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import QhullError
 
-from agent.files import MAX_TEXT_BYTES
 from drivers.errors import ConfigurationError, InputError
 from twin.arrays import Array
+from twin.formats.compressed_text import MAX_TEXT_BYTES
 
 EXTRA_HINT = "install the extra: pip install 'volcal[fe]'"
 DISPLACEMENT_NAMES = ("displacement", "Displacement", "displacements", "U", "u", "DISP")

@@ -109,7 +109,8 @@ class SolidPart:
     def centre_mm(self) -> Array:
         """Centre of gravity (3,) in mm."""
         place = np.asarray(self._basis.global_coordinates())
-        return np.array([np.sum(row * self._basis.dx) for row in place]) / np.sum(self._basis.dx)
+        weighed: Array = np.sum(place * self._basis.dx, axis=(1, 2)) / np.sum(self._basis.dx)
+        return weighed
 
     @cached_property
     def own_weight(self) -> Array:
@@ -148,7 +149,9 @@ class SolidPart:
 
     @cached_property
     def _factorised(self) -> Any:
-        return splu(self._stiffness(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        return splu(
+            self._stiffness(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
 
     def _stiffness(self) -> Any:
         """Return the sparse stiffness matrix (n, n), with the elastic pads."""
@@ -196,7 +199,5 @@ def _assembled(basis: Basis, strains: Array, law: Array, measure: Array) -> Any:
     local = np.matmul(columns.reshape(flat).transpose(0, 2, 1), weighted.reshape(flat))
     dofs = np.asarray(basis.element_dofs).T
     rows = np.broadcast_to(dofs[:, :, None], local.shape)
-    found = coo_matrix(
-        (local.ravel(), (rows.ravel(), rows.transpose(0, 2, 1).ravel())), shape=(basis.N, basis.N)
-    )
+    found = coo_matrix((local.ravel(), (rows.ravel(), rows.transpose(0, 2, 1).ravel())), shape=(basis.N, basis.N))
     return found.tocsc()

@@ -7,7 +7,7 @@ depend on one axis alone are error motions like any other; the rest calls for te
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -28,17 +28,25 @@ _CUT_OFF = 1e-9
 
 @dataclass(frozen=True)
 class CrossEffectShare:
-    """Rms lengths in µm of a deflection over the workspace: `aligned_um` without its best rigid motion, then without
-    the series of the single axes, and then without the cross-effect of the machine too. `terms` contains the fitted
-    terms of the cross-effect in µm or µrad; `largest_um` (3,) the largest displacement along each axis from the middle.
+    """Parts of a deflection in the workspace of a machine.
+
+    `largest_um` (3,) is the largest displacement along each axis, and `raw_um` the rms length, both relative to the
+    middle. `aligned_um` is the rms length without the best rigid motion, `without_series_um` without the series of the
+    single axes too, and `rest_um` without the cross-effect either. `terms` contains the fitted terms of the
+    cross-effect in µm or µrad, as `units` says.
     """
 
     largest_um: tuple[float, float, float]
     raw_um: float
     aligned_um: float
     without_series_um: float
-    without_cross_effect_um: float
+    rest_um: float
     terms: Mapping[str, float]
+    units: Mapping[str, str]
+
+    def as_json(self) -> dict[str, object]:
+        """Return the figures for a JSON document."""
+        return {**asdict(self), "terms": dict(self.terms), "units": dict(self.units)}
 
 
 def cross_effect_share(grid: DeflectionGrid, machine: MachineDescription) -> CrossEffectShare:
@@ -53,19 +61,21 @@ def cross_effect_share(grid: DeflectionGrid, machine: MachineDescription) -> Cro
     middle = np.array([0.5 * (low + high) for low, high in model.ranges_mm])
     field = grid.at(points) - grid.at(middle)
     plain = replace(model, cross_effect=(), structure=())
-    whole, _ = _rest(model, points, field)
-    without, coefficients = _rest(plain, points, field)[0], _rest(model, points, field)[1]
-    terms = {}
-    for term, value in zip(model.cross_terms, coefficients[model.size - len(model.cross_terms) : model.size], strict=True):
-        terms[term.name] = MICRO_UNITS[term.unit][1] * float(value)
+    without, _ = _rest(plain, points, field)
+    whole, coefficients = _rest(model, points, field)
+    fitted = coefficients[model.size - len(model.cross_terms) : model.size].tolist()
+    terms = {
+        term.name: MICRO_UNITS[term.unit][1] * value for term, value in zip(model.cross_terms, fitted, strict=True)
+    }
     x, y, z = (UM_PER_MM * float(value) for value in np.abs(field).max(axis=0))
     return CrossEffectShare(
         largest_um=(x, y, z),
         raw_um=UM_PER_MM * rms(field),
         aligned_um=UM_PER_MM * rms(align_rigidly(points, field)),
         without_series_um=UM_PER_MM * rms(without),
-        without_cross_effect_um=UM_PER_MM * rms(whole),
+        rest_um=UM_PER_MM * rms(whole),
         terms=terms,
+        units={term.name: MICRO_UNITS[term.unit][0] for term in model.cross_terms},
     )
 
 

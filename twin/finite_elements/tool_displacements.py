@@ -174,7 +174,9 @@ def check_covers(grid: DeflectionGrid, ranges_mm: Ranges, machine: str) -> None:
     """Raise DataError, which names the axis, if the grid does not cover the axis ranges of a machine."""
     for axis, nodes, (low, high) in zip(AXES, grid.nodes, ranges_mm, strict=True):
         if nodes[0] > low + 1e-6 or nodes[-1] < high - 1e-6:
-            message = f"the grid ends at {nodes[0]:g} and {nodes[-1]:g} mm, the range of {machine} is {low:g} to {high:g}"
+            message = (
+                f"the grid ends at {nodes[0]:g} and {nodes[-1]:g} mm, the range of {machine} is {low:g} to {high:g}"
+            )
             raise DataError(f"{message} mm", hint="Compute the positions at the ends of the travel too", axis=axis)
 
 
