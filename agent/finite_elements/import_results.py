@@ -121,7 +121,7 @@ def _read_all(
         else:
             step = _step_of(position, texts[name])
             used.add((name, step))
-            with translated(InputError, row=position.row):
+            with translated(InputError, position=label):
                 result = texts[name].at(step, position.node if position.node is not None else options.node)
             found.append(_Found(position.axes_mm, result.displacement, result.rotation, label))
     if lost and not options.fill:

@@ -56,9 +56,7 @@ class StepResults:
             )
         if node is None:
             if len(nodes) > 1:
-                message = (
-                    f"load step {load_step} lists {len(nodes)} nodes, and the node of the tool point is not stated"
-                )
+                message = f"load step {load_step} lists {len(nodes)} nodes; that of the tool point is not stated"
                 raise FormatError(message, hint="State it with --node, or in a column 'node'", file=self.source)
             return next(iter(nodes.values()))
         if node not in nodes:
