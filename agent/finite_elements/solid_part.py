@@ -27,12 +27,14 @@ from skfem import Basis, ElementHex2, ElementVector, FacetBasis, LinearForm, Mes
 from skfem.helpers import dot
 
 from agent.finite_elements.hollow_box import HollowBox
+from drivers.errors import InputError
 from twin.arrays import Array
 
 GRAVITY_MM_PER_S2 = 9806.65
 _ORDER = 6  # of the quadrature on surfaces: the weight of a pad is no polynomial
 _IN_ELEMENTS = 5  # three points along each edge: exact for a box
 _ON_FACE = 1e-6
+_WORST_CONDITION = 1e10
 
 
 @dataclass(frozen=True)
@@ -140,18 +142,27 @@ class SolidPart:
         loads = [LinearForm(lambda v, w: dot(w.pull, v)).assemble(basis, pull=weight * motion) for motion in motions]
         # a moment is a length times a force: scaled by the size of the rail, the matrix is well conditioned
         size = np.sqrt(np.diag(gram))
-        return np.asarray(np.linalg.solve(gram / np.outer(size, size), np.stack(loads) / size[:, None]).T / size)
+        if not size.min() > 0.0:
+            raise _too_small(pads)
+        even = gram / np.outer(size, size)
+        if np.linalg.cond(even) > _WORST_CONDITION:
+            raise _too_small(pads)
+        return np.asarray(np.linalg.solve(even, np.stack(loads) / size[:, None]).T / size)
 
     def displacements(self, loads: Array) -> Array:
         """Return the displacements (n, m) of all unknowns in mm under m load vectors (n, m)."""
         found: Array = self._factorised.solve(np.ascontiguousarray(loads))
+        if not np.isfinite(found).all():
+            raise _unsolvable()
         return found
 
     @cached_property
     def _factorised(self) -> Any:
-        return splu(
-            self._stiffness(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-        )
+        symmetric = {"SymmetricMode": True}
+        try:
+            return splu(self._stiffness(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
+        except RuntimeError:  # the matrix is singular
+            raise _unsolvable() from None
 
     def _stiffness(self) -> Any:
         """Return the sparse stiffness matrix (n, n), with the elastic pads."""
@@ -175,6 +186,8 @@ class SolidPart:
         shares = np.full(3, support.tangential_n_mm)
         shares[support.pads.axis] = support.normal_n_mm
         area = np.sum(weight * basis.dx)
+        if not area > 0.0:
+            raise _too_small(support.pads)
         fields = np.stack([np.asarray(field[0]) for field in basis.basis])  # (81, 3, facets, points)
         return _assembled(basis, fields, np.diag(shares * count / area), weight * basis.dx)
 
@@ -183,6 +196,16 @@ class SolidPart:
             lambda x: np.abs(x[pads.axis] - pads.at_mm) < _ON_FACE, boundaries_only=True
         )
         return FacetBasis(self._mesh, self._element, facets=facets, intorder=_ORDER)
+
+
+def _too_small(pads: Pads) -> InputError:
+    hint = "make the pads longer, or lower rib_pitch_mm or raise cells"
+    return InputError(f"pads of {pads.length_mm:g} mm are too short for the elements under them", hint=hint)
+
+
+def _unsolvable() -> InputError:
+    hint = "check walls, ribs and stiffnesses: they must not differ by many orders of magnitude"
+    return InputError("the equations of the solid model cannot be solved", hint=hint)
 
 
 def _assembled(basis: Basis, strains: Array, law: Array, measure: Array) -> Any:

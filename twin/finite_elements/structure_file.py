@@ -6,6 +6,7 @@ the bed's width; its carriage runs on its front face.
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import Annotated
 
@@ -13,6 +14,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from twin.arrays import Array
+from twin.errors import DataError
 from twin.formats.toml_reading import StrictModel, read_toml
 
 Length = Annotated[float, Field(gt=0.0, le=50_000.0)]
@@ -21,6 +23,8 @@ Mass = Annotated[float, Field(ge=0.0, le=200_000.0)]
 Stiffness = Annotated[float, Field(ge=1.0, le=1e6)]
 Nodes = Annotated[int, Field(ge=2, le=60)]
 MOST_BAYS = 40
+MOST_ELEMENTS = 1300
+"""Elements of one part: about 45,000 unknowns, which need 1 GB."""
 
 
 class GridSection(StrictModel):
@@ -178,6 +182,19 @@ class StructureSection(StrictModel):
         if self.ram.length_mm < needed_length:
             raise ValueError(f"the ram leaves its guide: length_mm >= {needed_length:g} is needed")
         return self
+
+
+def check_elements(structure: StructureSection) -> None:
+    """Raise DataError if a part would have so many elements that its equations need too much memory."""
+    bed, column, ram = structure.bed, structure.column, structure.ram
+    lengths = (("bed", bed, bed.to_mm - bed.from_mm), ("column", column, column.height_mm), ("ram", ram, ram.length_mm))
+    for name, part, length in lengths:
+        bays = math.ceil(length / part.rib_pitch_mm)
+        whole = (structure.cells + 2) ** 2
+        count = bays * structure.cells * (whole - structure.cells**2) + (bays + 1) * whole
+        if count > MOST_ELEMENTS:
+            message = f"the {name} would have {count} elements, at most {MOST_ELEMENTS} are solved"
+            raise DataError(message, hint=f"Lower cells, or raise rib_pitch_mm of the {name}")
 
 
 def parse_structure(text: str, source: str) -> StructureSection:

@@ -29,7 +29,7 @@ if will_run():
     from drivers.errors import ConfigurationError, InputError
     from twin.finite_elements.axis_frame import parse_frame
     from twin.finite_elements.cross_effect_share import cross_effect_share
-    from twin.finite_elements.structure_file import parse_structure
+    from twin.finite_elements.structure_file import check_elements, parse_structure
     from twin.finite_elements.tool_displacements import (
         check_covers,
         middle_of,
@@ -188,6 +188,8 @@ def model_command(
         section = parse_structure(text, str(structure))
     if cells is not None:
         section = section.model_copy(update={"cells": cells})
+    with translated(ConfigurationError, file=str(structure)):
+        check_elements(section)
     try:
         from agent.finite_elements.machine_structure import solid_deflection  # noqa: PLC0415  an optional library
     except ImportError:

@@ -229,6 +229,22 @@ def test_a_solid_model_becomes_a_grid_that_a_machine_reads(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("truck_mm = 300.0", "truck_mm = 0.01", "too short for the elements"),
+        ("support_n_per_um", "support_pad_mm = 0.01\nsupport_n_per_um", "too short for the elements"),
+        ("rib_pitch_mm = 400.0", "rib_pitch_mm = 160.0", "at most 1300 are solved"),
+    ],
+)
+def test_structures_that_cannot_be_solved(tmp_path: Path, old: str, new: str, says: str) -> None:
+    path = coarse(tmp_path)
+    path.write_text(path.read_text(encoding="utf-8").replace(old, new, 1), encoding="utf-8")
+    done = call("model", path, "--cells", 3 if "pitch" in old else 1, "-o", tmp_path / "g.csv")
+    assert done.exit_code == 2
+    assert says in done.stderr
+
+
+@pytest.mark.parametrize(
     ("module", "words"),
     [("skfem", ("model", STRUCTURE)), ("meshio", ("import", "m.vtu", "--unit", "mm", "--positions", "p.csv"))],
 )
