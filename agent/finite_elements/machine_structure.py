@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.finite_elements.hollow_box import HollowBox
-from agent.finite_elements.solid_part import ElasticPads, Material, Pads, SolidPart
+from agent.finite_elements.solid_part import ElasticPads, ElasticPart, Material, Pads
 from twin.arrays import Array
 from twin.finite_elements.structure_file import BoxSection, MaterialSection, StructureSection
 from twin.machine.deflection import DeflectionGrid
@@ -118,7 +118,7 @@ def _bed(structure: StructureSection) -> tuple[_Answers, int]:
         bed.support_n_per_um * _N_MM_PER_N_UM,
         bed.support_n_per_um * _N_MM_PER_N_UM,
     )
-    part = SolidPart(_box(_X, low, high, bed, structure.cells), _material(bed.material), [stand])
+    part = ElasticPart(_box(_X, low, high, bed, structure.cells), _material(bed.material), [stand])
     arms = (-0.5 * bed.wheelbase_mm, 0.5 * bed.wheelbase_mm)
     stations = [
         (Pads(_Z, 0.0, _X, tuple(x + arm for arm in arms), bed.truck_mm, half - bed.wall_mm), np.array([x, 0.0, 0.0]))
@@ -127,13 +127,13 @@ def _bed(structure: StructureSection) -> tuple[_Answers, int]:
     return _answers(part, stations, structure.count_own_weight), part.unknowns
 
 
-def _column(structure: StructureSection) -> tuple[_Answers, SolidPart]:
+def _column(structure: StructureSection) -> tuple[_Answers, ElasticPart]:
     column = structure.column
     half, front = 0.5 * column.width_mm, 0.5 * column.depth_mm
     low, high = (-half, -front, 0.0), (half, front, column.height_mm)
     foot = column.foot_n_per_um * _N_MM_PER_N_UM
     stand = ElasticPads(Pads(_Z, 0.0), foot, column.shear_share * foot)
-    part = SolidPart(_box(_Z, low, high, column, structure.cells), _material(column.material), [stand])
+    part = ElasticPart(_box(_Z, low, high, column, structure.cells), _material(column.material), [stand])
     z = structure.grid.nodes[_Z]
     stations = []
     for height in (column.foot_mm + (z - z[0])).tolist():
@@ -155,7 +155,7 @@ def _ram(structure: StructureSection, progress: Progress) -> tuple[Array, _Weigh
     motions, part = [], None
     for number, reach in enumerate((ram.overhang_mm + (y - y[0])).tolist(), start=1):
         progress(f"ram, position {number} of {y.size}")
-        part = SolidPart(box, _material(ram.material), _guide(structure, reach))
+        part = ElasticPart(box, _material(ram.material), _guide(structure, reach))
         rail = part.rail(Pads(_Y, 0.0), end)
         moved = part.displacements((rail @ head + part.own_weight)[:, None])
         motions.append(rail.T @ moved[:, 0])
@@ -177,7 +177,7 @@ def _guide(structure: StructureSection, reach_mm: float) -> list[ElasticPads]:
     return found
 
 
-def _answers(part: SolidPart, stations: list[tuple[Pads, Array]], own_weight: bool) -> _Answers:
+def _answers(part: ElasticPart, stations: list[tuple[Pads, Array]], own_weight: bool) -> _Answers:
     rails = [part.rail(pads, about) for pads, about in stations]
     loads = [*rails, part.own_weight[:, None]]
     moved = part.displacements(np.concatenate(loads, axis=1))

@@ -83,7 +83,7 @@ class ElasticPads:
     tangential_n_mm: float
 
 
-class SolidPart:
+class ElasticPart:
     """Elastic solid on elastic pads.
 
     The stiffness matrix is assembled and factorised when a motion is asked for the first time.

@@ -27,7 +27,7 @@ MOST_ELEMENTS = 1300
 """Elements of one part: about 45,000 unknowns, which need 1 GB."""
 
 
-class GridSection(StrictModel):
+class GridNodesSection(StrictModel):
     """Section with the nodes of the grid: lower end, upper end and number of nodes of each axis."""
 
     x_mm: tuple[Coordinate, Coordinate, Nodes]
@@ -35,7 +35,7 @@ class GridSection(StrictModel):
     z_mm: tuple[Coordinate, Coordinate, Nodes]
 
     @model_validator(mode="after")
-    def _ascends(self) -> GridSection:
+    def _ascends(self) -> GridNodesSection:
         for name, (low, high, _) in self.axes.items():
             if not low < high:
                 raise ValueError(f"{name} must be [lower end, upper end, nodes], not from {low:g} to {high:g}")
@@ -160,7 +160,7 @@ class StructureSection(StrictModel):
     does not change if the axes move: their rails were aligned with it, so it is left out unless asked for."""
 
     name: Annotated[str, Field(min_length=1, max_length=80)]
-    grid: GridSection
+    grid: GridNodesSection
     bed: BedSection
     column: ColumnSection
     ram: RamSection

@@ -11,7 +11,7 @@ import pytest
 
 from agent.finite_elements.hollow_box import HollowBox
 from agent.finite_elements.machine_structure import solid_deflection
-from agent.finite_elements.solid_part import ElasticPads, Material, Pads, SolidPart
+from agent.finite_elements.solid_part import ElasticPads, ElasticPart, Material, Pads
 from twin.errors import FormatError
 from twin.finite_elements.structure_file import StructureSection, parse_structure
 
@@ -24,18 +24,15 @@ AREA = SIDE**2 - (SIDE - 2 * WALL) ** 2
 SECOND_MOMENT = (SIDE**4 - (SIDE - 2 * WALL) ** 4) / 12.0
 
 
-def cantilever(cells: int = 1, axis: int = 1) -> tuple[SolidPart, Pads, np.ndarray]:
+def cantilever(cells: int = 1) -> tuple[ElasticPart, Pads, np.ndarray]:
     """Return a slender hollow cantilever from the origin, its free end, and the point in the middle of this end."""
-    low, high = [-SIDE / 2] * 3, [SIDE / 2] * 3
-    low[axis], high[axis] = 0.0, LENGTH
-    box = HollowBox(axis, tuple(low), tuple(high), WALL, 2.0, LENGTH / 4, cells)
-    part = SolidPart(box, Material(YOUNG, SHEAR_FREE, DENSITY), [ElasticPads(Pads(axis, 0.0), STIFF, STIFF)])
-    tip = np.zeros(3)
-    tip[axis] = LENGTH
-    return part, Pads(axis, LENGTH), tip
+    half = SIDE / 2
+    box = HollowBox(1, (-half, 0.0, -half), (half, LENGTH, half), WALL, 2.0, LENGTH / 4, cells)
+    part = ElasticPart(box, Material(YOUNG, SHEAR_FREE, DENSITY), [ElasticPads(Pads(1, 0.0), STIFF, STIFF)])
+    return part, Pads(1, LENGTH), np.array([0.0, LENGTH, 0.0])
 
 
-def flexibility(part: SolidPart, pads: Pads, about: np.ndarray) -> np.ndarray:
+def flexibility(part: ElasticPart, pads: Pads, about: np.ndarray) -> np.ndarray:
     rail = part.rail(pads, about)
     return rail.T @ part.displacements(rail)
 
