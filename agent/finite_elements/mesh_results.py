@@ -72,7 +72,8 @@ def _read(path: Path) -> Any:
             return meshio.read(path)
     except (Exception, SystemExit) as error:  # noqa: BLE001  a reader of foreign files raises anything, and may exit
         cause = str(error) if isinstance(error, meshio.ReadError) else type(error).__name__
-        raise InputError(f"meshio cannot read the mesh ({cause:.120})", file=str(path)) from None
+        hint = "listings and tables need the ending .lis, .txt, .out, .prn, .list or .csv"
+        raise InputError(f"meshio cannot read the mesh ({cause:.120})", hint=hint, file=str(path)) from None
 
 
 def _field(mesh: Any, path: Path, count: int, name: str | None, usual: tuple[str, ...]) -> Array | None:

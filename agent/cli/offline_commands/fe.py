@@ -46,8 +46,18 @@ if TYPE_CHECKING:
 
 _SHAPE = re.compile(r"(\d{1,3})x(\d{1,3})x(\d{1,3})")
 _MOST_NODES = 200
+Reference = tuple[float, float, float] | Literal["middle", "none"]
+
+
+def _reference(_: click.Context, __: click.Parameter, text: str) -> Reference:
+    if text == "middle":
+        return "middle"
+    return "none" if text == "none" else parse_triple(text, ", and neither middle nor none")
+
+
 _REFERENCE = click.option(
     "--reference",
+    callback=_reference,
     default="middle",
     show_default=True,
     metavar="X,Y,Z|middle|none",
@@ -128,7 +138,7 @@ def import_command(
     any_size: bool,
     resample: tuple[int, int, int] | None,
     machine: Path | None,
-    reference: str,
+    reference: Reference,
     remove_rigid: bool,
     out: Path,
     figure: Path | None,
@@ -176,7 +186,7 @@ def import_command(
 @_FIGURE
 @reported
 def model_command(
-    structure: Path, cells: int | None, reference: str, remove_rigid: bool, out: Path, figure: Path | None
+    structure: Path, cells: int | None, reference: Reference, remove_rigid: bool, out: Path, figure: Path | None
 ) -> None:
     """Solve a solid model of bed, column and ram under gravity and write its deflection grid.
 
@@ -256,13 +266,13 @@ def _check_folders(*files: Path | None) -> None:
             check_folder(file.parent)
 
 
-def _referenced(grid: DeflectionGrid, reference: str, remove_rigid: bool) -> DeflectionGrid:
+def _referenced(grid: DeflectionGrid, reference: Reference, remove_rigid: bool) -> DeflectionGrid:
     """Return the grid without what the options ask to subtract."""
     if remove_rigid:
         grid = without_rigid_motion(grid)
     if reference == "none":
         return grid
-    place = middle_of(grid) if reference == "middle" else np.array(parse_triple(reference, ", middle or none"))
+    place = middle_of(grid) if reference == "middle" else np.array(reference)
     with translated(InputError, option="--reference"):
         return relative_to(grid, place)
 

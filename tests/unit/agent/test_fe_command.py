@@ -193,6 +193,28 @@ def test_results_without_positions_and_files_without_results(tmp_path: Path) -> 
     assert "which of the 27 load steps" in call("import", listing, "--positions", unsaid, *out).stderr
 
 
+@pytest.mark.parametrize(
+    ("option", "value", "says"),
+    [
+        ("--reference", "centre", "neither middle nor none"),
+        ("--reference", "0,0,9999", "outside the deflection grid"),
+        ("--frame", "X=x,Y=z,Z=y", "left-handed"),
+        ("--probe", "here", "is not X,Y,Z"),
+        ("--resample", "9x15", "not three numbers of nodes"),
+        ("--figure", "grid.pdf", "ends with .png or .svg"),
+        ("--machine", "none.toml", "no such file"),
+    ],
+)
+def test_options_that_say_nothing(tmp_path: Path, option: str, value: str, says: str) -> None:
+    results = tmp_path / "r.csv"
+    rows = [",".join(f"{number:g}" for number in row) for row in np.hstack((AXES, field_um(AXES)))]
+    results.write_text("x_mm,y_mm,z_mm,ux,uy,uz\n" + "\n".join(rows) + "\n")
+    done = call("import", results, "--unit", "um", "-o", tmp_path / "g.csv", option, value)
+    assert done.exit_code == 2
+    assert says in " ".join(done.stderr.split())
+    assert not (tmp_path / "g.csv").exists()
+
+
 def test_unused_load_steps_are_a_warning(tmp_path: Path) -> None:
     listing, out = tmp_path / "r.lis", tmp_path / "g.csv"
     write_listing(listing, 1e-6 * np.concatenate((field_um(AXES), [[1.0, 1.0, 1.0]])))
