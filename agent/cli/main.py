@@ -93,6 +93,11 @@ OWN_COMMANDS = {
         "agent.cli.doctor:doctor_command",
         "Check settings, links and devices, and forecast the gates of a run; nothing moves.",
     ),
+    "fe": OwnCommand(
+        "agent.cli.offline_commands.fe:fe_group",
+        "Make deflection grids from finite elements: import results, solve a small solid model, compare.",
+        logs=False,
+    ),
     "gcode": OwnCommand(
         "agent.cli.table_commands.gcode:gcode_group",
         "Correct part programs for controllers that have no compensation table.",

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from agent.files import read_text
+from agent.finite_elements.mesh_results import ProbeOptions, probe_mesh
 from agent.settings.schema import parse_settings
 from campaigns.fuzz.certificate_decoders import certificate_decoders
 from campaigns.fuzz.memory_file import MemoryFile, MemoryFolder
@@ -24,6 +25,9 @@ from gcode.setup_file import parse_part_setup
 from simulators.scenario import read_scenario
 from twin.compensation.table import CompensationTable
 from twin.compensation.table_file import format_side_file, format_table, parse_table
+from twin.finite_elements.listing import parse_listing
+from twin.finite_elements.result_tables import parse_positions_of_results, parse_results_by_step
+from twin.finite_elements.structure_file import parse_structure
 from twin.formats.artefact_file import parse_artefact
 from twin.formats.ball_file import parse_balls
 from twin.formats.deflection_file import format_deflection, parse_deflection
@@ -37,6 +41,7 @@ from twin.machine.machine_description import MachineDescription
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 CASE = CONFIG / "case-study.toml"
 MACHINE = CONFIG / "machines" / "case-study.toml"
+STRUCTURE = CONFIG / "structures" / "case-study.toml"
 SCENARIO = "scenario.toml"
 PROGRAM = b"""%
 N10 G21 G90 G17 G54 F500 S1000 M3
@@ -62,6 +67,32 @@ M30
 PART_SETUP = b"""[work_offsets_mm]
 G54 = [100.0, 200.0, 300.0]
 """
+LISTING = b"""  ***** POST1 NODAL DEGREE OF FREEDOM LISTING *****
+
+  LOAD STEP=     1  SUBSTEP=     1
+   TIME=    1.0000      LOAD CASE=   0
+
+  THE FOLLOWING DEGREE OF FREEDOM RESULTS ARE IN THE GLOBAL COORDINATE SYSTEM
+
+    NODE       UX           UY           UZ           USUM
+     901  0.10000E-05-0.20000E-05-0.30000E-05 0.37417E-05
+     902  0.0000       0.0000      0.12345E-004 0.12345E-004
+
+ MAXIMUM ABSOLUTE VALUES
+ NODE        901          901          901          901
+ VALUE   0.10000E-05-0.20000E-05-0.30000E-05 0.37417E-05
+"""
+FE_RESULTS = b"load_step,node,ux,uy,uz,rotx,roty,rotz\n1,901,1e-6,-2e-6,3e-6,1e-5,0,0\n2,901,0,0,0,0,0,0\n"
+MESH = b"""<?xml version="1.0"?>
+<VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian"><UnstructuredGrid>
+<Piece NumberOfPoints="4" NumberOfCells="1"><Points>
+<DataArray type="Float64" NumberOfComponents="3" format="ascii">0 0 0 1 0 0 0 1 0 0 0 1</DataArray></Points>
+<Cells><DataArray type="Int64" Name="connectivity" format="ascii">0 1 2 3</DataArray>
+<DataArray type="Int64" Name="offsets" format="ascii">4</DataArray>
+<DataArray type="Int64" Name="types" format="ascii">10</DataArray></Cells>
+<PointData><DataArray type="Float64" Name="displacement" NumberOfComponents="3" format="ascii">
+0 0 0 1e-3 0 0 0 2e-3 0 0 0 3e-3</DataArray></PointData></Piece></UnstructuredGrid></VTKFile>
+"""
 PUNCHED = b"%\nN10G0X0Y0Z0\nN20G1X1.5Y-2.5F100\nM30\n%\n"
 
 
@@ -80,6 +111,7 @@ def file_decoders() -> Iterator[Decoder]:
     # A small grid: in the shipped one of 1,755 nodes nearly every change meets a cell of the same kind.
     grid = [format_deflection(_small_grid()).encode()]
     yield Decoder("deflection (CSV)", grid, _decoding(lambda text: parse_deflection(text, "deflection.csv")))
+    yield from _finite_element_decoders()
     table, side = format_table(_small_table()), format_side_file(_small_table())
     yield Decoder("table (CSV)", [table.encode()], _decoding(lambda text: parse_table(text, side, "t.csv", "t.json")))
     yield Decoder("table (JSON)", [side.encode()], _decoding(lambda text: parse_table(table, text, "t.csv", "t.json")))
@@ -137,6 +169,21 @@ def _beside(path: Path) -> Callable[[str], str]:
 def _small_grid() -> DeflectionGrid:
     x, y, z = np.array([0.0, 2000.0, 4000.0]), np.array([0.0, 1300.0]), np.array([-10.5, 1500.0])
     return cantilever_deflection(x, y, z)
+
+
+def _finite_element_decoders() -> Iterator[Decoder]:
+    yield Decoder("FE listing (text)", [LISTING], _decoding(lambda text: parse_listing(text, "r.lis")))
+    yield Decoder("FE results (CSV)", [FE_RESULTS], _decoding(lambda text: parse_results_by_step(text, "r.csv")))
+    positions = [b"x_mm,y_mm,z_mm,file,load_step,node\n0,0,0,r.lis,1,901\n10.5,-2,3e2,r.lis,2,901\n"]
+    yield Decoder("FE positions (CSV)", positions, _decoding(lambda text: parse_positions_of_results(text, "p.csv")))
+    yield _text("FE structure (TOML)", [STRUCTURE], lambda text: parse_structure(text, "s.toml"))
+    folder = MemoryFolder()
+    options = ProbeOptions(within=None)
+
+    def probe(path: Path) -> object:
+        return probe_mesh(path / "m.vtu", np.array([0.1, 0.1, 0.1]), options)
+
+    yield Decoder("FE mesh (VTU)", [MESH], lambda data: folder.reading({"m.vtu": data}, probe))
 
 
 def _small_table() -> CompensationTable:

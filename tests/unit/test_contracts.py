@@ -50,6 +50,7 @@ OFFENCES = (
     Offence("figures", "agent/planning/preflight.py", "matplotlib.figure"),
     Offence("web", "agent/service/owner/owner.py", "fastapi"),
     Offence("web", "agent/service/owner/owner.py", "starlette.requests"),
+    Offence("finite-elements", "agent/studies/study.py", "skfem.helpers"),
 )
 
 

@@ -1,0 +1,226 @@
+"""One part of a machine as an elastic solid, with quadratic hexahedra of scikit-fem.
+
+A part stands on elastic pads and is loaded through rails. A rail is a weight w on the surface of the part. Six rigid
+motions r_i about a point carry the load and the answer of a rail (the load is distributed, the surface is not
+stiffened):
+
+    G_ij = ∫ w r_i·r_j dS      b_i = ∫ w r_i·v dS      B = b G⁻¹
+
+A wrench q at the point is the load vector B q, and the motion of the rail in the least-squares sense is Bᵀ u. The
+flexibility Bᵀ K⁻¹ B is therefore symmetric, as Maxwell's reciprocity demands.
+
+Lengths are in mm, forces in N, stresses in N/mm². Motions are three displacements in mm and three rotations in rad,
+wrenches three forces in N and three moments in N mm, both about a stated point and in machine axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.linalg import splu
+from skfem import Basis, ElementHex2, ElementVector, FacetBasis, LinearForm, MeshHex
+from skfem.helpers import dot
+
+from agent.finite_elements.hollow_box import HollowBox
+from drivers.errors import InputError
+from twin.arrays import Array
+
+GRAVITY_MM_PER_S2 = 9806.65
+_ORDER = 6  # of the quadrature on surfaces: the weight of a pad is no polynomial
+_IN_ELEMENTS = 5  # three points along each edge: exact for a box
+_ON_FACE = 1e-6
+_WORST_CONDITION = 1e10
+
+
+@dataclass(frozen=True)
+class Material:
+    """Isotropic elastic material: E in N/mm², Poisson's ratio, density in t/mm³."""
+
+    youngs_n_mm2: float
+    poisson: float
+    density_t_mm3: float
+
+
+@dataclass(frozen=True)
+class Pads:
+    """Strips on a face of a part that carry or load it.
+
+    The face is normal to `axis` at the coordinate `at_mm`. Along `along`, each pad reaches `length_mm` over its centre
+    in `centres_mm`, with a pressure that falls to zero at its ends (cos²); None for the whole face. `walls_of_mm` keeps
+    the pads over the walls: only points further than it from the middle of the third direction count.
+    """
+
+    axis: int
+    at_mm: float
+    along: int | None = None
+    centres_mm: tuple[float, ...] = ()
+    length_mm: float = 0.0
+    walls_of_mm: float = 0.0
+
+    def weight(self, place: Any) -> Any:
+        """Return the weight at the points `place` (3, ...) of the face."""
+        if self.along is None:
+            weight = np.ones_like(place[0])
+        else:
+            parts = [(place[self.along] - centre) / self.length_mm for centre in self.centres_mm]
+            weight = sum(np.where(np.abs(part) < 0.5, np.cos(np.pi * part) ** 2, 0.0) for part in parts)
+            across = place[3 - self.axis - self.along]
+            weight = weight * (np.abs(across) > self.walls_of_mm)
+        return weight
+
+
+@dataclass(frozen=True)
+class ElasticPads:
+    """Pads on which a part stands. Each pad of the strip has the stiffnesses across and along its face, in N/mm."""
+
+    pads: Pads
+    normal_n_mm: float
+    tangential_n_mm: float
+
+
+class ElasticPart:
+    """Elastic solid on elastic pads.
+
+    The stiffness matrix is assembled and factorised when a motion is asked for the first time.
+    """
+
+    def __init__(self, box: HollowBox, material: Material, supports: Sequence[ElasticPads]) -> None:
+        mesh = MeshHex.init_tensor(*box.lines())
+        centres = mesh.p[:, mesh.t].mean(axis=1)
+        self._mesh = mesh.restrict(np.flatnonzero(box.is_solid(centres)))
+        self._material = material
+        self._supports = tuple(supports)
+        self._element = ElementVector(ElementHex2())
+        self._basis = Basis(self._mesh, self._element, intorder=_IN_ELEMENTS)
+
+    @property
+    def unknowns(self) -> int:
+        return int(self._basis.N)
+
+    @cached_property
+    def mass_t(self) -> float:
+        """Mass of the part in t."""
+        return float(self._material.density_t_mm3 * np.sum(self._basis.dx))
+
+    @cached_property
+    def centre_mm(self) -> Array:
+        """Centre of gravity (3,) in mm."""
+        place = np.asarray(self._basis.global_coordinates())
+        weighed: Array = np.sum(place * self._basis.dx, axis=(1, 2)) / np.sum(self._basis.dx)
+        return weighed
+
+    @cached_property
+    def own_weight(self) -> Array:
+        """Load vector (n,) of the part's weight, along -Z."""
+        pull = -self._material.density_t_mm3 * GRAVITY_MM_PER_S2
+        load: Array = LinearForm(lambda v, _: pull * v[2]).assemble(self._basis)
+        return load
+
+    def rail(self, pads: Pads, about_mm: Array) -> Array:
+        """Return the load vectors (n, 6) of unit wrenches on a rail about the point `about_mm` (3,)."""
+        basis = self._facets(pads)
+        arm = np.asarray(basis.global_coordinates()) - about_mm[:, None, None]
+        zero, one = np.zeros_like(arm[0]), np.ones_like(arm[0])
+        motions = [
+            np.stack(rows)
+            for rows in (
+                (one, zero, zero),
+                (zero, one, zero),
+                (zero, zero, one),
+                (zero, -arm[2], arm[1]),  # e × arm
+                (arm[2], zero, -arm[0]),
+                (-arm[1], arm[0], zero),
+            )
+        ]
+        weight = pads.weight(np.asarray(basis.global_coordinates()))
+        gram = np.array([[np.sum(weight * (a * b).sum(axis=0) * basis.dx) for b in motions] for a in motions])
+        loads = [LinearForm(lambda v, w: dot(w.pull, v)).assemble(basis, pull=weight * motion) for motion in motions]
+        # a moment is a length times a force: scaled by the size of the rail, the matrix is well conditioned
+        size = np.sqrt(np.diag(gram))
+        if not size.min() > 0.0:
+            raise _too_small(pads)
+        even = gram / np.outer(size, size)
+        if np.linalg.cond(even) > _WORST_CONDITION:
+            raise _too_small(pads)
+        return np.asarray(np.linalg.solve(even, np.stack(loads) / size[:, None]).T / size)
+
+    def displacements(self, loads: Array) -> Array:
+        """Return the displacements (n, m) of all unknowns in mm under m load vectors (n, m)."""
+        found: Array = self._factorised.solve(np.ascontiguousarray(loads))
+        if not np.isfinite(found).all():
+            raise _unsolvable()
+        return found
+
+    @cached_property
+    def _factorised(self) -> Any:
+        symmetric = {"SymmetricMode": True}
+        try:
+            return splu(self._stiffness(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
+        except RuntimeError:  # the matrix is singular
+            raise _unsolvable() from None
+
+    def _stiffness(self) -> Any:
+        """Return the sparse stiffness matrix (n, n), with the elastic pads."""
+        shear = self._material.youngs_n_mm2 / (2.0 * (1.0 + self._material.poisson))
+        lame = 2.0 * shear * self._material.poisson / (1.0 - 2.0 * self._material.poisson)
+        gradients = np.stack([field[0].grad for field in self._basis.basis])  # (81, 3, 3, elements, points)
+        normal = [gradients[:, i, i] for i in range(3)]
+        sheared = [gradients[:, i, j] + gradients[:, j, i] for i, j in ((1, 2), (2, 0), (0, 1))]
+        elasticity = np.diag([2.0 * shear] * 3 + [shear] * 3)
+        elasticity[:3, :3] += lame
+        matrix = _assembled(self._basis, np.stack(normal + sheared, axis=1), elasticity, np.asarray(self._basis.dx))
+        for support in self._supports:
+            matrix = matrix + self._spring(support)
+        return matrix
+
+    def _spring(self, support: ElasticPads) -> Any:
+        """Return the stiffness of an elastic layer under the pads, with the total stiffness of all of them."""
+        basis = self._facets(support.pads)
+        weight = support.pads.weight(np.asarray(basis.global_coordinates()))
+        count = max(len(support.pads.centres_mm), 1)
+        shares = np.full(3, support.tangential_n_mm)
+        shares[support.pads.axis] = support.normal_n_mm
+        area = np.sum(weight * basis.dx)
+        if not area > 0.0:
+            raise _too_small(support.pads)
+        fields = np.stack([np.asarray(field[0]) for field in basis.basis])  # (81, 3, facets, points)
+        return _assembled(basis, fields, np.diag(shares * count / area), weight * basis.dx)
+
+    def _facets(self, pads: Pads) -> FacetBasis:
+        facets = self._mesh.facets_satisfying(
+            lambda x: np.abs(x[pads.axis] - pads.at_mm) < _ON_FACE, boundaries_only=True
+        )
+        return FacetBasis(self._mesh, self._element, facets=facets, intorder=_ORDER)
+
+
+def _too_small(pads: Pads) -> InputError:
+    hint = "make the pads longer, or lower rib_pitch_mm or raise cells"
+    return InputError(f"pads of {pads.length_mm:g} mm are too short for the elements under them", hint=hint)
+
+
+def _unsolvable() -> InputError:
+    hint = "check walls, ribs and stiffnesses: they must not differ by many orders of magnitude"
+    return InputError("the equations of the solid model cannot be solved", hint=hint)
+
+
+def _assembled(basis: Basis, strains: Array, law: Array, measure: Array) -> Any:
+    """Return the matrix of the energy ½ ∫ εᵀ law ε, where ε (functions, k, elements, points) belongs to each basis
+    function and `measure` (elements, points) is the weight of each quadrature point.
+
+    The forms of scikit-fem call Python once for each pair of the 81 functions of an element; here each element is one
+    matrix product.
+    """
+    functions, kinds, elements, points = strains.shape
+    columns = strains.transpose(2, 3, 1, 0)  # (elements, points, k, functions)
+    weighted = (law @ columns) * measure[:, :, None, None]
+    flat = (elements, points * kinds, functions)
+    local = np.matmul(columns.reshape(flat).transpose(0, 2, 1), weighted.reshape(flat))
+    dofs = np.asarray(basis.element_dofs).T
+    rows = np.broadcast_to(dofs[:, :, None], local.shape)
+    found = coo_matrix((local.ravel(), (rows.ravel(), rows.transpose(0, 2, 1).ravel())), shape=(basis.N, basis.N))
+    return found.tocsc()
