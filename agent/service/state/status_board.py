@@ -356,7 +356,7 @@ def _doing_now(status: Status) -> str:
     """Return the current activity as one line of text. Between runs it says if an unproved table is active; panels show
     48 characters of it."""
     if status.unproved is not None and status.state in AT_REST:
-        words = "not ready" if status.state is S.IDLE else _STATES[status.state].split(";")[0]
+        words = "not ready" if status.state in (S.IDLE, S.WRITTEN) else _STATES[status.state].split(";")[0]
         return f"{words}: unproved table active (bank {status.unproved.bank})"
     if status.verdict is not None and status.state in AT_REST:
         return status.verdict.sentence["en"]

@@ -35,21 +35,40 @@ export class Refused extends Error {
   }
 }
 
+const YIELD_MS = 1000;
 const reading = new Set();
+let held = Promise.resolve();
 
+/* Reads a document. A reading that `askFirst` has broken off is begun again, so that nobody misses what it was to bring. */
 export async function read(path, { withToken = false } = {}) {
-  const controller = new AbortController();
-  reading.add(controller);
-  try {
-    return await (await answered(fetch(path, { headers: { accept: "application/json", ...(withToken ? authorized() : {}) }, signal: controller.signal }))).json();
-  } finally {
-    reading.delete(controller);
+  for (;;) {
+    await held;
+    const controller = new AbortController();
+    reading.add(controller);
+    try {
+      return await (await answered(fetch(path, { headers: { accept: "application/json", ...(withToken ? authorized() : {}) }, signal: controller.signal }))).json();
+    } catch (error) {
+      if (!controller.signal.aborted) throw error;
+    } finally {
+      reading.delete(controller);
+    }
   }
 }
 
-/* Browsers open at most six connections to a host: an abort must not wait for responses that are being computed. */
-export function dropReading() {
+/* Sends a request before all reading. Browsers open at most six connections to a host: an abort must not wait for
+   responses that are being computed. They are broken off, and asked for again once the request has been answered. */
+export async function askFirst(path, body) {
+  let release;
+  held = new Promise((resolve) => {
+    release = resolve;
+    setTimeout(resolve, YIELD_MS);
+  });
   for (const controller of reading) controller.abort();
+  try {
+    return await ask(path, body);
+  } finally {
+    release();
+  }
 }
 
 export async function ask(path, body) {
