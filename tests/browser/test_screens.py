@@ -11,7 +11,7 @@ import pytest
 from panel_pages import opened
 from playwright.sync_api import Browser, Page, Route, ViewportSize, expect
 from service_process import Service
-from told_page import ALARM, RUN, RUN_SUMMARY, status, told, views
+from told_page import RUN, RUN_SUMMARY, idle_with_alarm, status, told, unproved_status, views
 
 from agent.execution.states import RunState
 from agent.planning.run_phases import PREFLIGHT
@@ -175,9 +175,14 @@ def test_an_idle_machine_with_something_left_is_not_called_ready(chromium: Brows
         expect(page.locator("#doing")).to_have_text("Not moving: a run is unfinished")
         expect(page.locator("#state .word")).to_have_text("Not ready")
         expect(page.locator("#unfinished")).to_contain_text(RUN)
-        said.update({**status(RunState.IDLE), "alarms": [ALARM]})
+        expect(page.locator("#reset")).to_be_hidden()
+        said.update(idle_with_alarm())
         expect(page.locator("#doing")).to_have_text("Not ready: an alarm is open")
         expect(page.locator("#state")).to_have_attribute("data-look", "fault")
+        expect(page.locator("#reset")).to_be_visible()
+        said.update(unproved_status())
+        expect(page.locator("#state .word")).to_have_text("Not ready")
+        expect(page.locator("#doing")).to_have_text("Not ready: unproved table active (bank 2)")
 
 
 def test_what_cannot_be_read_is_not_known_on_the_page(chromium: Browser, house: Service) -> None:

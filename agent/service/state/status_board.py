@@ -119,8 +119,10 @@ class StatusBoard:
     def status(self) -> Status:
         now = self._status
         question_open, unfinished = now.question is not None, now.unfinished is not None
-        unproved = now.unproved is not None
-        may = allowed_in(now.state, unfinished=unfinished, question_open=question_open, unproved=unproved)
+        unproved, alarm_open = now.unproved is not None, bool(now.alarms)
+        may = allowed_in(
+            now.state, unfinished=unfinished, question_open=question_open, unproved=unproved, alarm_open=alarm_open
+        )
         read_at_s, at_rest = self._read_at_s, now.state in AT_REST
         age_s = None if read_at_s is None or not at_rest else max(self.now() - read_at_s, 0.0)
         known = now.active_bank is not None and not self._unexpected
