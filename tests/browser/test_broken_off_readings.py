@@ -9,6 +9,7 @@ from service_process import Service
 from told_page import RUN, status, told
 
 from agent.execution.states import RunState
+from agent.language.sentences import german
 
 KEYS = [f"measure/station-1/az0-el45/ball-0{ball}" for ball in range(3)]
 BALLS = [
@@ -88,6 +89,15 @@ def test_an_abort_is_sent_before_anything_is_read_again(chromium: Browser, house
         assert read == ["abort"]
         with page.expect_request(f"**/api/runs/{RUN}/balls"):
             silent[0].fulfill(json={"taken": True})
+
+
+def test_the_reason_of_an_abort_is_kept_in_english_and_told_in_each_language(chromium: Browser, house: Service) -> None:
+    with told(chromium, house, "de") as (page, _):
+        page.route("**/api/abort", lambda route: route.fulfill(json={"taken": True}))
+        with page.expect_request("**/api/abort") as sent:
+            page.click("#abort")
+        assert sent.value.post_data_json == {"reason": "abort pressed on the page"}
+    assert german("aborted: abort pressed on the page") == "abgebrochen: Abbruch auf der Seite gedrückt"
 
 
 def test_balls_that_could_not_be_read_at_once_are_read_with_a_later_status(chromium: Browser, house: Service) -> None:

@@ -226,6 +226,7 @@ class StatusBoard:
         """Show a run that begins now. `by` is the name of who asked for it if it is known."""
         self._end_alarms(self._status.alarms)
         self._change(
+            ve_now_um=self.status().ve_now_um,  # not that of a table which the controller had lost before
             run_id=run_id,
             kind=kind,
             position_set=position_set,
