@@ -35,7 +35,8 @@ DIFFERENCE = {
 }
 TREND = {
     "name": "EXX", "title": "EXX", "unit": "µrad", "runs": [f"{night:06d}" for night in range(NIGHTS)],
-    "nights": [float(night) for night in range(NIGHTS)], "started": [f"2026-11-{20 + n}T02:00:00Z" for n in range(NIGHTS)],
+    "nights": [float(night) for night in range(NIGHTS)],
+    "started": [f"2026-11-{20 + night}T02:00:00Z" for night in range(NIGHTS)],
     "values": [-21.24] * NIGHTS, "standard_uncertainties": [2.2] * NIGHTS, "tolerance": None, "drift_a_night": -0.00092,
     "drift_standard_uncertainty": 0.00035, "significant": True, "level": -21.2, "control_limits": None, "alarms": [],
     "steps": [{"night": float(night), "size": -1.5} for night in range(1, NIGHTS)], "nights_left": None,
