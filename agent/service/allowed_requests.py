@@ -40,11 +40,14 @@ ALLOWED: dict[RunState, frozenset[str]] = {
 }
 
 
-def allowed_in(state: RunState, *, unfinished: bool, question_open: bool, unproved: bool = False) -> frozenset[str]:
+def allowed_in(
+    state: RunState, *, unfinished: bool, question_open: bool, unproved: bool = False, alarm_open: bool = False
+) -> frozenset[str]:
     """Return the requests that are allowed in `state`.
 
     `unfinished` is True if an interrupted run can be resumed; it may be given up instead. `unproved` is True if a table
     is active that was never proved; no run starts then, and the former table may be reactivated or the run given up.
+    `alarm_open` is True if an alarm is open; it can then be acknowledged between runs too, although a run may start.
     `question_open` is True if a question that the run asks a person has not been answered yet.
     """
     allowed = ALLOWED[state]
@@ -55,4 +58,6 @@ def allowed_in(state: RunState, *, unfinished: bool, question_open: bool, unprov
     if unproved and START in allowed:
         allowed -= {START}
         allowed |= {RESTORE_FORMER, GIVE_UP, RESET}  # a reset also tries to restore, as panels need
+    if alarm_open and START in allowed:
+        allowed |= {RESET}
     return allowed | {ANSWER} if question_open else allowed

@@ -11,7 +11,7 @@ import pytest
 from panel_pages import opened
 from playwright.sync_api import Browser, Page, Route, ViewportSize, expect
 from service_process import Service
-from told_page import ALARM, RUN, RUN_SUMMARY, status, told, views
+from told_page import RUN, RUN_SUMMARY, idle_with_alarm, status, told, unproved_status, views
 
 from agent.execution.states import RunState
 from agent.planning.run_phases import PREFLIGHT
@@ -175,9 +175,14 @@ def test_an_idle_machine_with_something_left_is_not_called_ready(chromium: Brows
         expect(page.locator("#doing")).to_have_text("Not moving: a run is unfinished")
         expect(page.locator("#state .word")).to_have_text("Not ready")
         expect(page.locator("#unfinished")).to_contain_text(RUN)
-        said.update({**status(RunState.IDLE), "alarms": [ALARM]})
+        expect(page.locator("#reset")).to_be_hidden()
+        said.update(idle_with_alarm())
         expect(page.locator("#doing")).to_have_text("Not ready: an alarm is open")
         expect(page.locator("#state")).to_have_attribute("data-look", "fault")
+        expect(page.locator("#reset")).to_be_visible()
+        said.update(unproved_status())
+        expect(page.locator("#state .word")).to_have_text("Not ready")
+        expect(page.locator("#doing")).to_have_text("Not ready: unproved table active (bank 2)")
 
 
 def test_what_cannot_be_read_is_not_known_on_the_page(chromium: Browser, house: Service) -> None:
@@ -214,7 +219,7 @@ def test_an_abort_that_is_not_answered_says_within_a_second_that_the_emergency_s
 
 
 def answered_by_half(page: Page, path: str) -> None:
-    """Let each answer to `path` begin and not end: it fails when its request is dropped or `cutOff` is called."""
+    """Let the first answer to `path` begin and not end: it fails when its request is dropped or `cutOff` is called."""
     page.evaluate(
         """path => {
           const whole = window.fetch;
@@ -224,7 +229,7 @@ def answered_by_half(page: Page, path: str) -> None:
             window.cutOff = () => content.error(new TypeError("network error"));
             document.body.dataset.half = path;
           } });
-          window.fetch = async (address, options = {}) => address === path
+          window.fetch = async (address, options = {}) => address === path && !document.body.dataset.half
             ? new Response(half(options.signal), { headers: { "content-type": "application/json" } })
             : whole(address, options);
         }""",
@@ -232,7 +237,7 @@ def answered_by_half(page: Page, path: str) -> None:
     )
 
 
-def test_a_response_that_an_abort_cuts_off_in_its_middle_is_no_error_of_the_page(
+def test_a_response_that_an_abort_cuts_off_in_its_middle_is_asked_for_again(
     chromium: Browser, house: Service
 ) -> None:
     with told(chromium, house) as (page, _):

@@ -60,6 +60,7 @@ def views() -> Iterator[tuple[str, dict[str, Any]]]:
         "alarms",
         {**status(RunState.FAULTED, unfinished=True), "alarms": [ALARM, ALARM, ALARM], "receivers": RECEIVERS},
     )
+    yield "alarm between runs", idle_with_alarm()
     yield "unfinished", {**status(RunState.IDLE, unfinished=True), "active_bank": None, "read_problem": "no answer"}
     yield "unproved", unproved_status()
 
@@ -85,6 +86,11 @@ def status(state: RunState, *, unfinished: bool = False) -> dict[str, Any]:
         "alarms": [ALARM] if state in (RunState.FAULTED, RunState.ABORTED) else [],
         "event": 10**6,
     }
+
+
+def idle_with_alarm() -> dict[str, Any]:
+    may = sorted(allowed_in(RunState.IDLE, unfinished=False, question_open=False, alarm_open=True))
+    return {**status(RunState.IDLE), "alarms": [ALARM], "may": may}
 
 
 def unproved_status() -> dict[str, Any]:

@@ -119,8 +119,10 @@ class StatusBoard:
     def status(self) -> Status:
         now = self._status
         question_open, unfinished = now.question is not None, now.unfinished is not None
-        unproved = now.unproved is not None
-        may = allowed_in(now.state, unfinished=unfinished, question_open=question_open, unproved=unproved)
+        unproved, alarm_open = now.unproved is not None, bool(now.alarms)
+        may = allowed_in(
+            now.state, unfinished=unfinished, question_open=question_open, unproved=unproved, alarm_open=alarm_open
+        )
         read_at_s, at_rest = self._read_at_s, now.state in AT_REST
         age_s = None if read_at_s is None or not at_rest else max(self.now() - read_at_s, 0.0)
         known = now.active_bank is not None and not self._unexpected
@@ -224,6 +226,7 @@ class StatusBoard:
         """Show a run that begins now. `by` is the name of who asked for it if it is known."""
         self._end_alarms(self._status.alarms)
         self._change(
+            ve_now_um=self.status().ve_now_um,  # not that of a table which the controller had lost before
             run_id=run_id,
             kind=kind,
             position_set=position_set,
@@ -356,7 +359,7 @@ def _doing_now(status: Status) -> str:
     """Return the current activity as one line of text. Between runs it says if an unproved table is active; panels show
     48 characters of it."""
     if status.unproved is not None and status.state in AT_REST:
-        words = "not ready" if status.state is S.IDLE else _STATES[status.state].split(";")[0]
+        words = "not ready" if status.state in (S.IDLE, S.WRITTEN) else _STATES[status.state].split(";")[0]
         return f"{words}: unproved table active (bank {status.unproved.bank})"
     if status.verdict is not None and status.state in AT_REST:
         return status.verdict.sentence["en"]

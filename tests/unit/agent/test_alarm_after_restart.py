@@ -97,7 +97,9 @@ def test_an_alarm_between_runs_is_listed_and_the_same_after_a_restart(tmp_path: 
             (203, "", False),
             (alarm.code, "", True),
         }
+        assert "reset" in after.owner.status().may
         after.owner.reset()
+        assert "reset" not in after.owner.status().may
         assert all(one.until for one in alarm_page(tmp_path, 10, 0).alarms)
     operate(tmp_path, "DROP TABLE idle_alarms")  # a journal of an earlier program
     assert alarm_page(tmp_path, 10, 0).total == 0

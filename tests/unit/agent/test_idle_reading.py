@@ -88,6 +88,8 @@ def test_a_controller_that_has_lost_its_table_is_an_alarm_once_and_its_accuracy_
     shown.show_reading(ControllerReading(LINKS, 0, compared=compared(CompensationState.LOST, 0)))
     now = shown.status()
     assert (now.active_bank, now.ve_now_um) == (0, None)
+    shown.begin_run("20261121T020000Z-0000", "calibrate", "page", "S3")
+    assert (shown.status().active_bank, shown.status().ve_now_um) == (0, None)
     assert [alarm.code for alarm in now.alarms] == [360]
 
 

@@ -48,6 +48,13 @@ def test_status_says_which_table_is_active_and_offers_the_ways_out(tmp_path: Pat
         assert alarm.hint == TABLE.way_out
 
 
+def test_a_table_that_is_active_is_not_called_inactive(tmp_path: Path) -> None:
+    with house(tmp_path) as built:
+        left(built)
+        built.parts.board.enter(RunState.WRITTEN, "found at the start")
+        assert built.owner.status().doing == "not ready: unproved table active (bank 2)"
+
+
 def test_every_endpoint_says_the_same(tmp_path: Path) -> None:
     with house(tmp_path) as built:
         left(built)

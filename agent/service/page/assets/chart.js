@@ -1,13 +1,13 @@
 /* A small chart: axes, lines, bands, points with uncertainty, limits. Colours are variables of the theme. */
 import { draw } from "./dom.js";
-import { number } from "./language.js";
+import { number, say } from "./language.js";
 
 const ROOM = { left: 52, right: 10, top: 24, bottom: 34 };
 const BESIDE_PX = 20, LEAST_PX = 300, NARROW_TICKS = 2; // on a phone, a chart is drawn narrower and not smaller
 const TICKS_X = 5, TICKS_Y = 4, FONT = 12, MOST_DIGITS = 6, SHORT = 6;
 
-/* `x`, `y`: ranges; `nameX`: text of a value on the axis; `draws`: functions that take the scales and return elements. */
-export function chart({ name, title, xLabel, yLabel = "", x, y, width: wide = 520, height = 220, draws = [], room = ROOM, ticksX: ticks = TICKS_X, nameX = (value) => figure(value, x) }) {
+/* `x`, `y`: ranges; `nameX`: text of a value on the axis; `unitX`: unit behind the first of them; `draws`: functions that take the scales and return elements. */
+export function chart({ name, title, xLabel, yLabel = "", x, y, width: wide = 520, height = 220, draws = [], room = ROOM, ticksX: ticks = TICKS_X, unitX = "", nameX = (value) => figure(value, x) }) {
   const width = Math.min(wide, Math.max(innerWidth - BESIDE_PX, LEAST_PX)), ticksX = width < wide ? Math.min(ticks, NARROW_TICKS) : ticks;
   const inner = { width: width - room.left - room.right, height: height - room.top - room.bottom };
   const scales = {
@@ -20,7 +20,9 @@ export function chart({ name, title, xLabel, yLabel = "", x, y, width: wide = 52
     svg.append(draw("line", { x1: room.left, x2: width - room.right, y1: scales.y(value), y2: scales.y(value), class: "grid" }));
     svg.append(label(room.left - 5, scales.y(value) + 4, "end", figure(value, y)));
   }
-  for (const value of rounded(x, ticksX)) svg.append(label(scales.x(value), height - room.bottom + 18, anchorAt(value, x, nameX(value).length), nameX(value)));
+  const ends = rounded(x, ticksX);
+  const named = (value) => (unitX && value === ends[0] ? say("unit.value", { value: nameX(value), unit: unitX }) : nameX(value));
+  for (const value of ends) svg.append(label(scales.x(value), height - room.bottom + 18, anchorAt(value, x, named(value).length), named(value)));
   if (y[0] < 0 && y[1] > 0) svg.append(draw("line", { x1: room.left, x2: width - room.right, y1: scales.y(0), y2: scales.y(0), class: "zero" }));
   for (const one of draws) svg.append(...one(scales));
   svg.append(label(room.left, 15, "start", title, "title"), label(width - room.right, height - 3, "end", xLabel), label(width - room.right, 15, "end", yLabel));

@@ -3,8 +3,8 @@ import { accessText, onAccess } from "./access.js";
 import { askAccess } from "./access-dialog.js";
 import { askStart, showKeys } from "./dialogs.js";
 import { byId } from "./dom.js";
-import { onLanguage, say } from "./language.js";
-import { ask, dropReading, isTokenRefused, read, Refused, token } from "./requests.js";
+import { inEnglish, onLanguage, say } from "./language.js";
+import { ask, askFirst, isTokenRefused, read, Refused, token } from "./requests.js";
 import { showDone, showProblem, showSent, showWarning } from "./notices.js";
 import { on, refresh } from "./store.js";
 
@@ -46,13 +46,13 @@ function offer({ may }) {
 }
 
 /* Abort needs one press, no confirmation and no token; nothing else waits for its response. A service that hangs does
-   not answer at all: then the emergency stop is the only way left, and the page says so without waiting for an error. */
+   not answer at all: then the emergency stop is the only way left, and the page says so without waiting for an error.
+   The reason is sent in English, as all that is kept: each reader gets it in their own language. */
 async function abort() {
-  dropReading();
   showSent("abort.sent");
   const silent = setTimeout(() => showWarning("abort.unconfirmed"), UNCONFIRMED_MS);
   try {
-    await ask("/api/abort", { reason: say("abort.reason") });
+    await askFirst("/api/abort", { reason: inEnglish("abort.reason") });
     showDone("done.abort");
   } catch (error) {
     if (!(error instanceof Refused)) throw error;

@@ -2,7 +2,7 @@
 import { byId } from "./dom.js";
 import { languageNow, languages, nameLanguage, number, onLanguage, say, speak, translate } from "./language.js";
 import { on, seen } from "./store.js";
-import { lookOf, stateWord, verdictWord } from "./wording.js";
+import { lookOf, restWord, verdictWord } from "./wording.js";
 
 const VIEWS = ["operator", "engineer"];
 
@@ -41,14 +41,13 @@ function choose(view, opened) {
 }
 
 function showState(status) {
-  const { machine, state, verdict, unfinished, alarms } = status;
+  const { machine, state, verdict } = status;
   byId("machine").textContent = machine;
   const badge = byId("state");
   badge.dataset.look = lookOf(status);
   badge.dataset.verdict = verdict ? verdict.name : "";
   badge.dataset.state = state;
-  const left = state === "idle" && (unfinished !== null || alarms.length);
-  const word = verdict ? verdictWord(verdict) : left ? say("unproved.not_ready") : stateWord(state);
+  const word = verdict ? verdictWord(verdict) : restWord(status);
   badge.querySelector(".word").textContent = word;
   document.title = `${word} – ${machine}`;
 }

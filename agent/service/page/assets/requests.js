@@ -35,21 +35,40 @@ export class Refused extends Error {
   }
 }
 
+const YIELD_MS = 1000;
 const reading = new Set();
+let held = Promise.resolve();
 
+/* Reads a document. A reading that `askFirst` has broken off is begun again, so that nobody misses what it was to bring. */
 export async function read(path, { withToken = false } = {}) {
-  const controller = new AbortController();
-  reading.add(controller);
-  try {
-    return await answered(fetch(path, { headers: { accept: "application/json", ...(withToken ? authorized() : {}) }, signal: controller.signal }), asJson);
-  } finally {
-    reading.delete(controller);
+  for (;;) {
+    await held;
+    const controller = new AbortController();
+    reading.add(controller);
+    try {
+      return await answered(fetch(path, { headers: { accept: "application/json", ...(withToken ? authorized() : {}) }, signal: controller.signal }), asJson);
+    } catch (error) {
+      if (!controller.signal.aborted) throw error;
+    } finally {
+      reading.delete(controller);
+    }
   }
 }
 
-/* Browsers open at most six connections to a host: an abort must not wait for responses that are being computed. */
-export function dropReading() {
+/* Sends a request before all reading. Browsers open at most six connections to a host: an abort must not wait for
+   responses that are being computed. They are broken off, and asked for again once the request has been answered. */
+export async function askFirst(path, body) {
+  let release;
+  held = new Promise((resolve) => {
+    release = resolve;
+    setTimeout(resolve, YIELD_MS);
+  });
   for (const controller of reading) controller.abort();
+  try {
+    return await ask(path, body);
+  } finally {
+    release();
+  }
 }
 
 export async function ask(path, body) {
@@ -68,7 +87,7 @@ export const isTokenRefused = (error) => error instanceof Refused && (error.prob
 const asJson = (response) => response.json();
 
 /* Content of the response, read by `content`. A response that ends before its end is none: the service died in the middle
-   of it, or an abort has dropped it. */
+   of it, or the request was broken off. */
 async function answered(request, content) {
   const whole = (part) => part.catch(() => {
     throw new Refused({ status: 0, detail: say("problem.no_answer") });

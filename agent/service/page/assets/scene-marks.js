@@ -2,7 +2,7 @@
 import { number } from "./language.js";
 
 /* globals ring, disc, line, between */
-const LEAST_PX = 3.5, MARK_PX = 6, NEXT_PX = 9, EDGE_PX = 1.5, FAINT = 0.4;
+const LEAST_PX = 3.5, MARK_PX = 6, NEXT_PX = 9, EDGE_PX = 1.5, FAINT = 0.4, LABEL_PX = 16;
 
 /* Those of other positions than `current` are faint, as their bodies are. An edge in the colour of the paper sets each mark
    off from the bar behind it. Returns the states that were met. */
@@ -47,6 +47,7 @@ export function markAxes(context, camera, { low, high }, tip, axes, colours) {
   context.font = "600 12px system-ui, sans-serif";
   context.textAlign = "center";
   context.textBaseline = "middle";
+  const labels = []; // a label that would cover another one is left out: the corner of the picture has all three
   [0, 1, 2].forEach((axis) => {
     const end = low.map((value, i) => (i === axis ? high[i] : value));
     const share = Math.min(Math.max((tip[axis] - low[axis]) / (high[axis] - low[axis] || 1), 0), 1);
@@ -54,8 +55,10 @@ export function markAxes(context, camera, { low, high }, tip, axes, colours) {
     if (Math.hypot(to[0] - from[0], to[1] - from[1]) < 20) return; // seen end on
     disc(context, x, y, 6, colours.accent);
     const text = number(axes[axis], 0), half = context.measureText(text).width / 2 + 4;
+    if (labels.some((one) => Math.abs(one.x - x) < one.half + half && Math.abs(one.y - y) < LABEL_PX)) return;
+    labels.push({ x, y, half });
     context.fillStyle = colours.paper;
-    context.fillRect(x - half, y + 9, 2 * half, 16);
+    context.fillRect(x - half, y + 9, 2 * half, LABEL_PX);
     context.fillStyle = colours.ink;
     context.fillText(text, x, y + 17);
   });

@@ -77,7 +77,7 @@ function panel({ name, unit, position_mm: at, difference, sigma }, reaches) {
   const low = difference.map((v, i) => v - SIGMAS * sigma[i]), high = difference.map((v, i) => v + SIGMAS * sigma[i]);
   return chart({
     title: name, name: say("compare.panel", { name }), xLabel: "", yLabel: unit, x: [at[0], at.at(-1)], y: [-top, top], width: 190, height: 130, room: ROOM,
-    ticksX: 2, draws: [band(at, low, high, kind), line(at, difference, kind)],
+    ticksX: 2, unitX: "mm", draws: [band(at, low, high, kind), line(at, difference, kind)],
   });
 }
 

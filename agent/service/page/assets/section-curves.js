@@ -33,7 +33,7 @@ function panel(curve, name, reaches) {
   const low = value.map((v, i) => v - SIGMAS * sigma[i]), high = value.map((v, i) => v + SIGMAS * sigma[i]);
   return chart({
     title: name, name: say("curves.name", { name }), xLabel: "", yLabel: unit, x: [at[0], at.at(-1)], y: [-top, top], width: 190, height: 130, room: ROOM,
-    ticksX: 2, draws: [band(at, low, high, kind), line(at, value, kind)],
+    ticksX: 2, unitX: "mm", draws: [band(at, low, high, kind), line(at, value, kind)],
   });
 }
 

@@ -6,6 +6,7 @@ import { read } from "./requests.js";
 import { dateOf, keyOfLines, rateOf, spans, trendFigure } from "./trend-figure.js";
 
 export const ofRun = false;
+const STEPS_SHOWN = 2;
 let chosen = null;
 
 export async function parts({ again }) {
@@ -31,8 +32,16 @@ function row(trend, choose) {
     make("button", { ariaPressed: String(name === chosen), onclick: () => choose(name) }, name),
     say("unit.value", { value: number(values.at(-1), 2), unit }),
     make("span", { className: significant ? "strong" : "" }, rateOf(trend)),
-    steps.map(({ night, size }) => say("parameters.step", { date: day(dateOf(trend, night)), size: number(size, 1) })).join(", "),
+    latestOf(steps, trend),
   ];
+}
+
+/* The latest steps, each in a line of its own, and how many there were before them. */
+function latestOf(steps, trend) {
+  const shown = steps.slice(-STEPS_SHOWN).reverse(), earlier = steps.length - shown.length;
+  return make("div", { className: "steps" }, ...shown.map(({ night, size }) =>
+    make("span", {}, say("parameters.step", { date: day(dateOf(trend, night)), size: number(size, 1) }))),
+  earlier ? make("small", {}, say("parameters.earlier", { count: number(earlier, 0) })) : null);
 }
 
 function titleOf(name) {

@@ -18,8 +18,9 @@ let offset = 0, chosen = [], unfolded = false;
 
 export async function parts({ runs, again, open }) {
   const found = await listed(runs);
-  return [heading("reports.title"), ...filters(found, again), ...(found.problem ? [make("p", { className: "remark" }, found.problem)] : []),
-    comparison(open), rows(found, again, open), pager(offset, PAGE, found.total, (to) => go(to, again)), ...diagnosing()];
+  const choosers = filters(found, again);
+  return [heading("reports.title"), comparison(open, choosers), choosers, ...(found.problem ? [make("p", { className: "remark" }, found.problem)] : []),
+    rows(found, again, open), pager(offset, PAGE, found.total, (to) => go(to, again)), ...diagnosing()];
 }
 
 /* The selected runs from the history; if its database cannot be read, the latest runs of the journal. */
@@ -58,14 +59,13 @@ function filters({ kinds, verdicts }, again) {
     make("option", { value: "" }, say("reports.all")), ...Object.entries(counts).map(([name, count]) =>
       make("option", { value: name, selected: name === wanted[key] }, say("reports.counted", { word: word(name), count: number(count, 0) })))));
   const input = (key, type, more = {}) => field(`reports.${key}`, make("input", { id: `filter-${key}`, type, value: wanted[key], onchange: changed(key), ...more }));
-  const set = Object.values(wanted).filter(Boolean).length;
-  const choosers = make("div", { className: "choosers", id: "filters" }, options("kind", kinds, (name) => wordOr("kind", name)), options("verdict", verdicts, (name) => wordOr("verdict", name)),
+  return make("div", { className: "choosers", id: "filters" }, options("kind", kinds, (name) => wordOr("kind", name)), options("verdict", verdicts, (name) => wordOr("verdict", name)),
     input("since", "date", DATES), input("until", "date", DATES), input("text", "search", { maxLength: 100, title: say("reports.text_is") }));
-  return [unfolding(choosers, set), choosers];
 }
 
 /* On a small screen the runs come first: a button unfolds the filters, and says how many are set. Others show them always. */
-function unfolding(choosers, set) {
+function unfolding(choosers) {
+  const set = Object.values(wanted).filter(Boolean).length;
   const button = make("button", { className: "unfold", onclick: () => {
     unfolded = !unfolded;
     show();
@@ -79,8 +79,8 @@ function unfolding(choosers, set) {
   return button;
 }
 
-function comparison(open) {
-  return make("div", { className: "acts" }, make("button", { id: "compare", disabled: chosen.length < COMPARED, onclick: () => {
+function comparison(open, choosers) {
+  return make("div", { className: "acts" }, unfolding(choosers), make("button", { id: "compare", disabled: chosen.length < COMPARED, onclick: () => {
     const [one, other] = [...chosen].sort((a, b) => a.started.localeCompare(b.started));
     compare(one, other);
     return open("compare");

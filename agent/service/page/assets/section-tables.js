@@ -24,7 +24,7 @@ export async function parts({ again }) {
     facts([["tables.active_bank", active === null ? "–" : number(active, 0)], ["tables.checksum", acting?.crc32 ?? "–"],
       ...(waiting === null ? [] : [["tables.waiting", number(waiting, 0)]])]),
     remark("tables.words"),
-    table(["tables.when", "tables.what", "tables.bank", "tables.checksum", "tables.do"].map((key) => say(key)), rows.map((row) => cells(row, again))),
+    table(["tables.when", "tables.what", "tables.bank", "tables.checksum", "tables.do"].map((key) => say(key)), rows.map((row) => cells(row, again)), "kept"),
     make("h3", {}, say("tables.compare")),
     await comparison(rows, again),
   ];

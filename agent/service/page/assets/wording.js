@@ -26,7 +26,8 @@ export function verdictMark(verdict) {
   return mark;
 }
 
-export const AT_REST = new Set(["idle", "complete", "refused", "written, not active", "aborted", "faulted"]);
+const WRITTEN = "written, not active";
+export const AT_REST = new Set(["idle", "complete", "refused", WRITTEN, "aborted", "faulted"]);
 
 /* An idle machine is ready only if nothing is left to be dealt with. */
 function idleWords({ unfinished, alarms }) {
@@ -41,11 +42,17 @@ export function lookOf({ state, verdict, unfinished, alarms }) {
   return state === "idle" && unfinished !== null ? "held" : LOOKS[state] ?? "quiet";
 }
 
+/* Word of a state without a verdict. A machine is not called idle while something is left to be dealt with, and a table
+   that is active after all is not called inactive. */
+export function restWord({ state, unfinished, alarms, unproved }) {
+  const left = state === "idle" ? unproved || unfinished !== null || alarms.length : state === WRITTEN && unproved;
+  return left ? say("unproved.not_ready") : stateWord(state);
+}
+
 export function doing(status) {
   const { state, step, unproved, verdict } = status;
   if (unproved && AT_REST.has(state)) {
-    const word = state === "idle" ? say("unproved.not_ready") : stateWord(state);
-    return say("doing.unproved", { state: word, bank: unproved.bank });
+    return say("doing.unproved", { state: restWord(status), bank: unproved.bank });
   }
   if (verdict && AT_REST.has(state)) return say(`verdict.${verdict.name}.is`);
   if (state === "idle") return idleWords(status);
