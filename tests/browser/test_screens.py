@@ -237,9 +237,7 @@ def answered_by_half(page: Page, path: str) -> None:
     )
 
 
-def test_a_response_that_an_abort_cuts_off_in_its_middle_is_asked_for_again(
-    chromium: Browser, house: Service
-) -> None:
+def test_a_response_that_an_abort_cuts_off_in_its_middle_is_asked_for_again(chromium: Browser, house: Service) -> None:
     with told(chromium, house) as (page, _):
         answered_by_half(page, "/api/runs?limit=50")
         page.click("#tab-engineer")
