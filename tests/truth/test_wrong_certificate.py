@@ -85,7 +85,9 @@ def test_an_end_ball_20_um_off_is_named_with_its_direction(seed: int, axis: int,
     verdict = gate(found)
     assert not verdict.passed
     assert 7.5 < verdict.value < 12.5
-    assert f"ball {END} contradicts its certificate along {direction}, |E_n| = {verdict.value:.2f} (k = 2" in verdict.text
+    assert (
+        f"ball {END} contradicts its certificate along {direction}, |E_n| = {verdict.value:.2f} (k = 2" in verdict.text
+    )
     assert verdict.text.count("contradicts") == 1
     assert f"uncertified_balls = [{END}]" in verdict.text
     assert 1e3 * np.array(found.certificate_check[END].apparent_error_mm) == pytest.approx(error, abs=4.0)
