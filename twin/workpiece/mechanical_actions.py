@@ -68,8 +68,8 @@ def plan_actions(
 
     `mounting` contains the guides and the feet of the machine, as far as they are known; only known guides are
     straightened. An action is proposed only if its amount is larger than its expanded uncertainty; an action with
-    several amounts, only if all of them together are as improbable with a machine that does not need it. Raises
-    DataError if `most` is not at least 1.
+    several amounts, only if one of them is, and if all of them together would be as improbable on a machine that does
+    not need it. Raises DataError if `most` is not at least 1.
     """
     if most < 1:
         raise DataError(f"at least one action must be allowed, not {most}")
@@ -141,7 +141,7 @@ class _ErrorForms:
         return found, np.asarray(_COVERAGE_FACTOR * deviations.std(axis=1))
 
     def are_certain(self, chosen: Sequence[int]) -> bool:
-        """Return True if the amounts of each of the actions exceed their uncertainty together."""
+        """Return True if, of each action, the amounts together and one of them alone exceed their uncertainty."""
         found, deviations = self._fitted(chosen)
         start = 0
         for number in chosen:
@@ -149,7 +149,8 @@ class _ErrorForms:
             start = own.stop
             covariance = deviations[own] @ deviations[own].T / deviations.shape[1]
             square = float(found[own] @ np.linalg.pinv(covariance, hermitian=True) @ found[own])
-            if square <= float(chdtri(float(self.sizes[number]), _DOUBTED)):
+            larger = np.abs(found[own]) > _COVERAGE_FACTOR * np.sqrt(np.diagonal(covariance))
+            if not larger.any() or square <= float(chdtri(float(self.sizes[number]), _DOUBTED)):
                 return False
         return True
 
