@@ -29,6 +29,7 @@ NO_TABLE = 0
 LEAST_AGREEING = 0.9
 """Share of agreeing figures below which prediction and instruments contradict each other. One figure in twenty
 disagrees by chance, and the figures of one machine are correlated."""
+_POSITIONING = ("A", "E", "R", "B")
 _DIGITS = 3
 
 
@@ -134,17 +135,24 @@ def compare_with_instruments(predicted: PredictedTests, ask: Ask, table_bank: in
     """Measure the figures of all tests, first without table, then with the table in the bank `table_bank` of the
     controller, and compare them with the prediction. Every measurement has a set-up of its own.
 
-    If `table_bank` is None or no table was predicted, the machine is only measured without table.
+    If `table_bank` is None or no table was predicted, the machine is only measured without table. Angles are not
+    measured, nor figures of positioning from one side alone.
     """
-    with_table = table_bank is not None and all(one.figure.with_table is not None for one in predicted.tests)
+    tests = [*predicted.tests, *(one for one in predicted.positioning if _is_measured(one.test))]
+    with_table = table_bank is not None and all(one.figure.with_table is not None for one in tests)
     banks = [NO_TABLE, table_bank] if with_table else [NO_TABLE]
     figures: list[ComparedFigure] = []
     for bank in banks:
-        for one in predicted.tests:
+        for one in tests:
             request = instrument_request(one.test, predicted.tool_offset_mm)
             answer = ask({**request, "bank": bank, "seed": len(figures) + 1})
             figures.append(ComparedFigure(one, bank != NO_TABLE, _measured(one.test, answer)))
     return InstrumentComparison(predicted, tuple(figures))
+
+
+def _is_measured(test: AcceptanceTest) -> bool:
+    """Return True if the interferometer evaluates this figure of positioning."""
+    return test.feature.name.split()[0] in _POSITIONING
 
 
 def instrument_request(test: AcceptanceTest, tool_offset_mm: Array) -> dict[str, Any]:
@@ -194,6 +202,8 @@ def _measured(test: AcceptanceTest, answer: Mapping[str, Any]) -> MeasuredFigure
             name, along = "straightness", "position_mm"
         case "ISO 230-4", _:
             name, along = "g_mean", "mean_angle_rad"
+        case "ISO 230-2", _:
+            name, along = test.feature.name.split()[0].lower(), "position_mm"
         case _:
             name, along = "m", "position_mm"
     return MeasuredFigure(

@@ -10,12 +10,15 @@ import numpy as np
 
 from agent.files import translated
 from agent.workpiece.estimate_and_table import read_estimate_and_table
+from agent.workpiece.measured_repeats import measured_repeats
 from agent.workpiece.predicted_features import error_document
 from twin.arrays import Array
 from twin.machine.error_model import Ranges
+from twin.machine.kinematic_chain import AXES
 from twin.units import UM_PER_MM
-from twin.workpiece.acceptance import PredictedTest, acceptance_tests, predict_tests
-from twin.workpiece.features import Measure
+from twin.workpiece.acceptance import PredictedTest, acceptance_tests, axis_line, predict_tests
+from twin.workpiece.angles import predict_angles
+from twin.workpiece.positioning import predict_positioning
 
 _DIGITS = 4
 _RADII_MM = (150.0, 100.0, 50.0, 25.0, 10.0)
@@ -38,12 +41,25 @@ class AcceptanceRequest:
 @dataclass(frozen=True, eq=False)
 class PredictedTests:
     """Predicted figures and curves of acceptance tests about `centre_mm` (3,). `table` is the name of the table, as
-    a rule its file, and None without one."""
+    a rule its file, and None without one.
+
+    `tests` follow from the geometry alone. `angles` are the angular error motions. `positioning` are the figures of ISO
+    230-2 that also need what the run has measured of repeatability and lost motion; `not_measured` says which of them
+    are missing and why.
+    """
 
     tests: tuple[PredictedTest, ...]
     centre_mm: Array
     tool_offset_mm: Array
     table: str | None
+    angles: tuple[PredictedTest, ...] = ()
+    positioning: tuple[PredictedTest, ...] = ()
+    not_measured: tuple[str, ...] = ()
+
+    @property
+    def all_tests(self) -> tuple[PredictedTest, ...]:
+        """All figures in the order in which they are listed."""
+        return (*self.tests, *self.angles, *self.positioning)
 
     @property
     def heading(self) -> str:
@@ -57,7 +73,8 @@ class PredictedTests:
             "centre_mm": self.centre_mm.tolist(),
             "tool_offset_mm": self.tool_offset_mm.tolist(),
             "table": self.table,
-            "tests": [_document(one) for one in self.tests],
+            "tests": [_document(one) for one in self.all_tests],
+            "not_measured": list(self.not_measured),
         }
 
 
@@ -74,7 +91,13 @@ def predict_acceptance(request: AcceptanceRequest) -> PredictedTests:
     with translated():
         tests = acceptance_tests(ranges, known.tool_offset_mm, centre, radii_mm)
         predicted = predict_tests(known.estimate, tests, known.tool_offset_mm, known.table)
-    return PredictedTests(predicted, centre, known.tool_offset_mm, known.table_name)
+        lines = tuple(axis_line(ranges, centre, axis) for axis in range(len(AXES)))
+        angles = predict_angles(known.estimate, lines, known.tool_offset_mm, with_table=known.table is not None)
+        repeats = measured_repeats(request.estimate)
+        positioning = predict_positioning(known.estimate, tests, repeats.axes, known.tool_offset_mm, known.table)
+    return PredictedTests(
+        predicted, centre, known.tool_offset_mm, known.table_name, angles, positioning, repeats.not_measured
+    )
 
 
 def _fitting_radius(ranges: Ranges, centre: Array) -> float:
@@ -91,7 +114,7 @@ def _document(one: PredictedTest) -> dict[str, Any]:
         "meaning": one.test.title,
         "without_table": _figure(error_document(one.figure.without_table)),
         "with_table": None if with_table is None else _figure(error_document(with_table)),
-        **(_curve(one) if one.test.feature.measure is Measure.RANGE else {}),
+        **(_curve(one) if len(one.curve_mm) > 1 else {}),
     }
 
 

@@ -1,4 +1,4 @@
-"""How a machine stands and how its carriages run: feet under the bed, and the shoes of each carriage on its guide.
+"""Feet under the bed of a machine, and the shoes of each carriage on its guide.
 
 Neither is needed to identify or compensate a machine. What a fitter changes at the machine, a shim under a rail or the
 height of a foot, moves the tool by an amount that depends on them (`twin.workpiece.action_fields`).
