@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -132,18 +133,20 @@ class InstrumentComparison:
 
 
 def compare_with_instruments(predicted: PredictedTests, ask: Ask, table_bank: int | None) -> InstrumentComparison:
-    """Measure the figures of all tests, first without table, then with the table in the bank `table_bank` of the
-    controller, and compare them with the prediction. Every measurement has a set-up of its own.
+    """Measure the figures of all tests without table and with the table in the bank `table_bank` of the controller,
+    first those of the geometry and then those of positioning, and compare them with the prediction. Every measurement
+    has a set-up of its own.
 
     If `table_bank` is None or no table was predicted, the machine is only measured without table. Angles are not
     measured, nor figures of positioning from one side alone.
     """
-    tests = [*predicted.tests, *(one for one in predicted.positioning if _is_measured(one.test))]
+    positioning = [one for one in predicted.positioning if _is_measured(one.test)]
+    tests = [*predicted.tests, *positioning]
     with_table = table_bank is not None and all(one.figure.with_table is not None for one in tests)
     banks = [NO_TABLE, table_bank] if with_table else [NO_TABLE]
     figures: list[ComparedFigure] = []
-    for bank in banks:
-        for one in tests:
+    for group, bank in product((predicted.tests, positioning), banks):
+        for one in group:
             request = instrument_request(one.test, predicted.tool_offset_mm)
             answer = ask({**request, "bank": bank, "seed": len(figures) + 1})
             figures.append(ComparedFigure(one, bank != NO_TABLE, _measured(one.test, answer)))

@@ -56,8 +56,8 @@ class DrawnMachine(Protocol):
         ...
 
     def angles(self, axis: int, positions: np.ndarray, /) -> np.ndarray:
-        """Return the angular error motions (n, 3) in rad about X, Y and Z of the axis number `axis` at its positions (n,)
-        in mm."""
+        """Return the angular error motions (n, 3) in rad about X, Y and Z of the axis number `axis` at its positions
+        (n,) in mm."""
         ...
 
     def axis_positions_at(self, points: np.ndarray) -> np.ndarray:

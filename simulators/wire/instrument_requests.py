@@ -155,7 +155,7 @@ def _line_answer(found: LineMeasurement) -> Answer:
         "a_um": _um(found.accuracy),
         "a_u_um": _um(found.mean_range_u),
         "r_um": _um(found.repeatability),
-        "r_u_um": _um(4.0 * found.reading_u),
+        "r_u_um": _um(2.0 * found.reading_u),
         "b_um": _um(found.reversal),
         "b_u_um": _um(found.reading_u),
         "position_mm": [round(one, _DIGITS) for one in found.along_mm.tolist()],

@@ -2,8 +2,8 @@
 
 The mean deviations of an axis follow from the estimate of a machine. Its lost motion and its repeatability do not: they
 are taken from what a run has measured at one place, by oblique touches of a ball (`twin.artefact.reversal`). A touch
-scatters with the probe and with the other axis that moves. The share of the tested axis in this scatter is not known, so
-it is drawn between none and all; and lost motion is allowed to change along the travel.
+scatters with the probe and with the other axis that moves. The share of the tested axis in this scatter is not known,
+so it is drawn between none and all; and lost motion is allowed to change along the travel.
 
 The figures are those of one measurement as the standard asks for it, with five approaches of every target from each
 side: the propagation of distributions (JCGM 101) draws the approaches too, since the largest of many standard
