@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from agent.execution.journal_reader import has_journal, open_journal
+from agent.execution.journal_rows import DecisionRow
 from drivers.errors import InputError
 from twin.machine.kinematic_chain import AXES
 from twin.units import UM_PER_MM
@@ -35,6 +36,16 @@ def measured_repeats(estimate: Path) -> MeasuredRepeats:
     decisions = _decisions(folder)
     if decisions is None:
         return MeasuredRepeats({}, (f"not measured: {', '.join(TITLES)}: the estimate is not in the folder of a run",))
+    return repeats_of(decisions)
+
+
+def repeats_of(rows: Iterable[DecisionRow]) -> MeasuredRepeats:
+    """Return what the decisions of a run say about lost motion and repeatability."""
+    decisions: dict[str, Mapping[str, Any]] = {}
+    for row in rows:
+        for end in (_REVERSAL, _REPEATABILITY):
+            if row.kind.endswith(end):
+                decisions[end] = row.record
     reversal = decisions.get(_REVERSAL, {})
     of_axis = {one["axis"]: one for one in reversal.get("axes", ())}
     axes = {
@@ -44,8 +55,8 @@ def measured_repeats(estimate: Path) -> MeasuredRepeats:
     return MeasuredRepeats(axes, tuple(filter(None, (_missing(name, one) for name, one in axes.items()))))
 
 
-def _decisions(folder: Path) -> dict[str, Mapping[str, Any]] | None:
-    """Return the last decisions of the run in `folder` on lost motion and repeatability; None if there is no run."""
+def _decisions(folder: Path) -> tuple[DecisionRow, ...] | None:
+    """Return the decisions of the run in `folder`; None if there is no run."""
     if not has_journal(folder.parent):
         return None
     with open_journal(folder.parent) as reader:
@@ -53,12 +64,7 @@ def _decisions(folder: Path) -> dict[str, Mapping[str, Any]] | None:
             run = reader.require_run(folder.name).run
         except InputError:
             return None
-        found = {}
-        for row in reader.decisions(run):
-            for end in (_REVERSAL, _REPEATABILITY):
-                if row.kind.endswith(end):
-                    found[end] = row.record
-        return found
+        return reader.decisions(run)
 
 
 def _axis_repeats(

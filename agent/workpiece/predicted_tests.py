@@ -10,14 +10,16 @@ import numpy as np
 
 from agent.files import translated
 from agent.workpiece.estimate_and_table import read_estimate_and_table
-from agent.workpiece.measured_repeats import measured_repeats
+from agent.workpiece.measured_repeats import MeasuredRepeats, measured_repeats
 from agent.workpiece.predicted_features import error_document
 from twin.arrays import Array
+from twin.compensation.table import CompensationTable
 from twin.machine.error_model import Ranges
 from twin.machine.kinematic_chain import AXES
 from twin.units import UM_PER_MM
 from twin.workpiece.acceptance import PredictedTest, acceptance_tests, axis_line, predict_tests
 from twin.workpiece.angles import predict_angles
+from twin.workpiece.machine_field import MachineKnowledge
 from twin.workpiece.positioning import predict_positioning
 
 _DIGITS = 4
@@ -85,19 +87,40 @@ def predict_acceptance(request: AcceptanceRequest) -> PredictedTests:
     leaves the travel for which the machine was identified.
     """
     known = read_estimate_and_table(request.estimate, request.table, request.without_table, request.tool_offset_mm)
-    ranges = known.estimate.model.ranges_mm
-    centre = np.array(request.centre_mm or np.mean(ranges, axis=1))
-    radii_mm = request.radii_mm or (_fitting_radius(ranges, centre),)
+    repeats = measured_repeats(request.estimate)
+    place = PlaceOfTests(known.tool_offset_mm, request.centre_mm, request.radii_mm)
+    return predicted_tests(known.estimate, known.table, known.table_name, place, repeats)
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceOfTests:
+    """Place of acceptance tests: the offset (3,) of the tool in mm, the axis position in mm through which lines and
+    circles run (None for the middle of the travel), and the radii of the circles in mm (empty for a usual one)."""
+
+    tool_offset_mm: Array
+    centre_mm: tuple[float, float, float] | None = None
+    radii_mm: tuple[float, ...] = ()
+
+
+def predicted_tests(
+    estimate: MachineKnowledge,
+    table: CompensationTable | None,
+    table_name: str | None,
+    place: PlaceOfTests,
+    repeats: MeasuredRepeats,
+) -> PredictedTests:
+    """Return the predicted figures of acceptance tests of the machine of `estimate`. Raises InputError if a line or
+    circle leaves the travel for which the machine was identified."""
+    ranges, offset = estimate.model.ranges_mm, place.tool_offset_mm
+    centre = np.array(place.centre_mm or np.mean(ranges, axis=1))
+    radii_mm = place.radii_mm or (_fitting_radius(ranges, centre),)
     with translated():
-        tests = acceptance_tests(ranges, known.tool_offset_mm, centre, radii_mm)
-        predicted = predict_tests(known.estimate, tests, known.tool_offset_mm, known.table)
+        tests = acceptance_tests(ranges, offset, centre, radii_mm)
+        predicted = predict_tests(estimate, tests, offset, table)
         lines = tuple(axis_line(ranges, centre, axis) for axis in range(len(AXES)))
-        angles = predict_angles(known.estimate, lines, known.tool_offset_mm, with_table=known.table is not None)
-        repeats = measured_repeats(request.estimate)
-        positioning = predict_positioning(known.estimate, tests, repeats.axes, known.tool_offset_mm, known.table)
-    return PredictedTests(
-        predicted, centre, known.tool_offset_mm, known.table_name, angles, positioning, repeats.not_measured
-    )
+        angles = predict_angles(estimate, lines, offset, with_table=table is not None)
+        positioning = predict_positioning(estimate, tests, repeats.axes, offset, table)
+    return PredictedTests(predicted, centre, offset, table_name, angles, positioning, repeats.not_measured)
 
 
 def _fitting_radius(ranges: Ranges, centre: Array) -> float:

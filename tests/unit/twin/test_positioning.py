@@ -60,8 +60,8 @@ def test_an_axis_that_repeats_exactly_has_its_slope_and_its_reversal() -> None:
 
 
 def test_the_figures_are_those_of_five_approaches() -> None:
-    """ISO 230-2 evaluated from simulated readings, with a loop over machines, targets and sides. Lost motion changes along
-    the travel of 0.9 m, by 0.5 µm/m as a standard deviation."""
+    """ISO 230-2 evaluated from simulated readings, with a loop over machines, targets and sides. Lost motion changes
+    along the travel of 0.9 m, by 0.5 µm/m as a standard deviation."""
     rng = np.random.default_rng(4)
     sigma_um, lost_um, targets = 0.8, 3.0, 11
     of_machines: dict[str, list[float]] = {name: [] for name in ("A X", "A± X", "E X", "R X", "R± X", "B X")}
