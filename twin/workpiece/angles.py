@@ -3,7 +3,7 @@ interferometer shows between the tool and the workpiece while one axis moves.
 
 An angle is the difference of the displacements of two tool points, over the distance of these points. It is stated as a
 displacement over `SLOPE_LENGTH_MM`, like a squareness: 1 µm over 1000 mm is 1 µrad. A table of corrections moves the
-tool point and turns nothing, so the figures with it are those without.
+tool point and turns nothing, so the figures with it are those without, and there is one curve.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from twin.workpiece.machine_field import MachineField, MachineKnowledge, Spread
 from twin.workpiece.prediction import COVERAGE_FACTOR, FeaturePrediction, error_of
 
 _ROTATIONS = "ABC"
+ANGLES = tuple(f"E{about}{axis}" for axis in AXES for about in _ROTATIONS)
+"""Names of the angular error motions."""
 _STANDARD = "ISO 230-1"
 
 
@@ -54,7 +56,7 @@ def predict_angles(
                     FeaturePrediction(feature, error, error if with_table else None),
                     curve,
                     COVERAGE_FACTOR * np.sqrt(np.maximum(np.diagonal(known), 0.0)),
-                    curve if with_table else None,
+                    None,
                 )
             )
     return tuple(found)

@@ -21,7 +21,7 @@ def acceptance_table(predicted: PredictedTests, t: Texts) -> Table:
         errors = (one.figure.without_table, one.figure.with_table)[: len(states)]
         cells = [cell for error in errors if error is not None for cell in _cells(one.test.feature.measure, error)]
         rows.append((one.test.feature.name, one.test.title, one.test.standard, *cells))
-    return Table(heads, tuple(rows), heads[3:])
+    return Table(heads, tuple(rows), heads[3:], code=(t["standard"],))
 
 
 def _cells(measure: Measure, error: FeatureError) -> tuple[str, str]:
