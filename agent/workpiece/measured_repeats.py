@@ -20,7 +20,7 @@ _REVERSAL, _REPEATABILITY = "/reversal/reversal", "/repeatability"
 
 @dataclass(frozen=True)
 class MeasuredRepeats:
-    """What a run has measured by the letter of the axis, and texts on what it has not measured."""
+    """Measurements of a run by the letter of the axis, and texts on what was not measured."""
 
     axes: Mapping[str, AxisRepeats]
     not_measured: tuple[str, ...]

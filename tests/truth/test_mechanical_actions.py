@@ -92,8 +92,8 @@ def tool_points(
             axis = "XYZ".index(name)
             at = positions[:, axis]
             for one in (one for one in actions if one.axis == name and one.kind is ActionKind.SQUARENESS):
-                turn = np.cross(np.eye(3)[axis], np.eye(3)["XYZ".index(one.towards)])
-                frame = frame * Rotation.from_rotvec(one.amount * turn)
+                about = np.cross(np.eye(3)[axis], np.eye(3)["XYZ".index(one.towards)])
+                frame = frame * Rotation.from_rotvec(one.amount * about)
             stretched = at * (
                 1.0 + sum(one.amount for one in actions if one.axis == name and one.kind is ActionKind.SCALE)
             )
@@ -138,7 +138,8 @@ def true_error_um(machine: DrawnMachine, plan: ActionPlan | None = None) -> floa
 
 
 def test_the_gain_is_as_stated() -> None:
-    inside, gains, kinds = [], [], set()
+    inside, gains = [], []
+    kinds: set[ActionKind] = set()
     for number in range(MACHINES):
         machine, estimate = estimated(number)
         plan = plan_actions(estimate, OFFSET, mounting=MOUNTING)

@@ -161,9 +161,8 @@ def _squareness(low: Array, high: Array, centre: Array) -> Iterator[AcceptanceTe
             ),
             axis=1,
         )
-        name = f"{AXES[second]} to {AXES[first]}"
         feature = Feature(
-            f"squareness {name}",
+            f"squareness {AXES[second]} to {AXES[first]}",
             FeatureKind.ACCEPTANCE_TEST,
             np.concatenate((points, others)),
             SLOPE_LENGTH_MM * slopes,
@@ -171,7 +170,8 @@ def _squareness(low: Array, high: Array, centre: Array) -> Iterator[AcceptanceTe
             False,
         )
         both = np.concatenate((along, along_others))
-        yield AcceptanceTest("ISO 230-1", f"squareness of {name}, over 1000 mm", feature, both, feature.matrix)
+        title = f"squareness of {AXES[second]} to {AXES[first]}, over 1000 mm"
+        yield AcceptanceTest("ISO 230-1", title, feature, both, feature.matrix)
 
 
 def _circles(low: Array, high: Array, centre: Array, radii_mm: Sequence[float]) -> Iterator[AcceptanceTest]:

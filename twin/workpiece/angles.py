@@ -48,11 +48,10 @@ def predict_angles(
             matrix = centred @ np.kron(np.eye(len(along)), np.eye(3)[across])
             points = axis_positions + tool_offset
             feature = Feature(name, FeatureKind.ACCEPTANCE_TEST, points, matrix, Measure.RANGE, False)
-            title = f"{_word(axis, about)} of {AXES[axis]}, turn about {AXES[about]}, over 1000 mm"
             error = error_of(feature, curve, Spread(known, known))
             found.append(
                 PredictedTest(
-                    AcceptanceTest(_STANDARD, title, feature, along, matrix),
+                    AcceptanceTest(_STANDARD, _title(axis, about), feature, along, matrix),
                     FeaturePrediction(feature, error, error if with_table else None),
                     curve,
                     COVERAGE_FACTOR * np.sqrt(np.maximum(np.diagonal(known), 0.0)),
@@ -62,8 +61,13 @@ def predict_angles(
     return tuple(found)
 
 
-def _word(axis: int, about: int) -> str:
-    """Return the name of an angle (ISO 230-1:2012, 3.4.12 to 3.4.14). Z stands for the vertical of horizontal axes."""
+def _title(axis: int, about: int) -> str:
+    """Return what an angle is (ISO 230-1:2012, 3.4.12 to 3.4.14); the vertical axis has no pitch and yaw."""
+    names = {"axis": AXES[axis], "about": AXES[about]}
     if axis == about:
-        return "roll"
-    return "yaw" if about == 2 and axis != 2 else "pitch" if axis != 2 else "tilt"
+        return "roll of {axis}, turn about {about}, over 1000 mm".format(**names)
+    if AXES[axis] == "Z":
+        return "tilt of {axis}, turn about {about}, over 1000 mm".format(**names)
+    if AXES[about] == "Z":
+        return "yaw of {axis}, turn about {about}, over 1000 mm".format(**names)
+    return "pitch of {axis}, turn about {about}, over 1000 mm".format(**names)

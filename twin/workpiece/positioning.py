@@ -47,7 +47,7 @@ _SEED = 23
 
 @dataclass(frozen=True)
 class AxisRepeats:
-    """What a run has measured of the repeatability of an axis, in mm.
+    """Repeatability and lost motion of an axis as a run has measured them, in mm.
 
     `scatter_mm` is the standard deviation of touches for which the axis came from the same side, with `freedom` degrees
     of freedom; None if it was not measured. `lost_mm` is the lost motion and `lost_sigma_mm` its standard uncertainty,

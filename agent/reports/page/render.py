@@ -11,7 +11,6 @@ from markupsafe import Markup
 from agent.html_templates import html_template
 from agent.language.sentences import Language
 from agent.reports.page import document_head, error_table, identification_sections, run_sections
-from agent.reports.page.acceptance_table import acceptance_table
 from agent.reports.page.budget_table import budget_table
 from agent.reports.page.data import IdentificationData, ReportData
 from agent.reports.page.figures import report_figures
@@ -93,7 +92,7 @@ def _identification(data: ReportData, identification: IdentificationData, t: Tex
         "errors": error_table.error_tables(identification, data.document.tolerances, t),
         "limited": bool(data.document.tolerances),
         "budget": budget_table(identification, np.asarray(data.tool_offset), t),
-        "acceptance": None if predicted is None else acceptance_table(predicted, t),
+        "acceptance": None if predicted is None else error_table.acceptance_table(predicted, t),
         "not_measured": () if predicted is None else predicted.not_measured,
         "validity": validity(data, identification),
         "residual_note": identification_sections.residual_note(identification),
