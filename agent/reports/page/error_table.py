@@ -1,5 +1,5 @@
-"""Tables of the 21 geometric errors (range over the travel, expanded uncertainty, tolerance and what may be stated about
-conformity) and of the predicted figures of acceptance tests."""
+"""Tables of the 21 geometric errors (range over the travel, expanded uncertainty, tolerance and what may be stated
+about conformity) and of the predicted figures of acceptance tests."""
 
 from __future__ import annotations
 
