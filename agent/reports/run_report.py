@@ -165,12 +165,16 @@ def _found(record: RunRecord) -> IdentificationData | None:
 
 def _acceptance(record: RunRecord, estimate: JournalEstimate, observations: Observations) -> PredictedTests | None:
     """Return the predicted figures of acceptance tests, with the table that follows from the estimate; None if the
-    record of the run does not say for which tool."""
-    inputs, settings = record.decision(INPUTS), record.settings.get("table")
-    if inputs is None or settings is None:
+    record of the run does not say for which tool or with which grid, as may be with one of an earlier version."""
+    inputs = record.decision(INPUTS)
+    try:
+        settings = validate_document(dict(record.settings["table"]), "settings", TableSettings)
+    except (KeyError, TwinError):
+        return None
+    if inputs is None:
         return None
     offset = np.array(inputs["tools_mm"][record.settings["tool"]], dtype=np.float64)
-    nodes, anchor = table_grid(estimate.model, validate_document(dict(settings), "settings", TableSettings))
+    nodes, anchor = table_grid(estimate.model, settings)
     table = build_table(estimate.model, estimate.parameters, nodes, offset, anchor, observations.axis_positions)
     return predicted_tests(estimate, table, "table of the estimate", PlaceOfTests(offset), repeats_of(record.decisions))
 

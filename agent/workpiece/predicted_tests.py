@@ -113,7 +113,7 @@ def predicted_tests(
     circle leaves the travel for which the machine was identified."""
     ranges, offset = estimate.model.ranges_mm, place.tool_offset_mm
     centre = np.array(place.centre_mm or np.mean(ranges, axis=1))
-    radii_mm = place.radii_mm or (_fitting_radius(ranges, centre),)
+    radii_mm = place.radii_mm or _fitting_radius(ranges, centre)
     with translated():
         tests = acceptance_tests(ranges, offset, centre, radii_mm)
         predicted = predict_tests(estimate, tests, offset, table)
@@ -123,10 +123,10 @@ def predicted_tests(
     return PredictedTests(predicted, centre, offset, table_name, angles, positioning, repeats.not_measured)
 
 
-def _fitting_radius(ranges: Ranges, centre: Array) -> float:
-    """Return the largest of the usual radii in mm with which the circles stay inside the travel, or the smallest."""
+def _fitting_radius(ranges: Ranges, centre: Array) -> tuple[float, ...]:
+    """Return the largest of the usual radii in mm with which the circles stay inside the travel; empty if none does."""
     room = float(min(np.min(np.abs(np.array(ranges).T - centre), axis=0)))
-    return next((radius for radius in _RADII_MM if radius <= room), _RADII_MM[-1])
+    return next(((radius,) for radius in _RADII_MM if radius <= room), ())
 
 
 def _document(one: PredictedTest) -> dict[str, Any]:
