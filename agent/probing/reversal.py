@@ -10,7 +10,7 @@ separately. The report of the run states the limits of this measurement.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from agent.errors import MeasurementFault
 from agent.execution.steps import MoveTo, Plan, Record, TouchTowards
@@ -51,12 +51,15 @@ class ReversalCheck:
 class AxisReversal:
     """Lost motion of one axis at reversal. `lost_um` is the lost motion in µm, positive if the axis lags behind its
     display. `sigma_um` is the standard uncertainty of the lost motion. Both are None if a touch met nothing. `verdict`
-    states in words whether the limit is kept."""
+    states in words whether the limit is kept. `scatter_um` is the standard deviation in µm of touches after the same
+    preload, with `freedom` degrees of freedom; it is None if it was not measured."""
 
     axis: str
     lost_um: float | None
     sigma_um: float | None
     verdict: str
+    scatter_um: float | None = None
+    freedom: int = 0
 
     @property
     def text(self) -> str:
@@ -151,7 +154,10 @@ def _measured(
     lost = fit_lost_motion(
         readings.ratios, readings.upwards, readings.places, readings.latched_mm, probing.touch_sigma_mm / SLOPE
     )
-    return _judged(name, lost.value_mm, lost.sigma_mm, check.limit_mm)
+    judged = _judged(name, lost.value_mm, lost.sigma_mm, check.limit_mm)
+    if lost.freedom == 0:
+        return judged
+    return replace(judged, scatter_um=lost.scatter_mm * UM_PER_MM, freedom=lost.freedom)
 
 
 def _touched(

@@ -41,6 +41,7 @@ from agent.reports.page.number_format import COVERAGE, fixed
 from agent.reports.page.texts import ENGLISH, Texts
 from agent.results.artefact_calibration import calibration_warnings
 from agent.results.decision_kinds import HELD_OUT, IDENTIFIED, INPUTS, OUTCOME, PROBE
+from agent.results.estimation import table_grid
 from agent.results.facts import ArtefactFacts, ProbeFacts, ProbeRing, Quantity, TableFacts, VolumetricSummary
 from agent.results.gates import Gate
 from agent.results.homing_scatter import HomingScatter, after_homing_text
@@ -49,11 +50,15 @@ from agent.results.run_requester import BY, requester_of
 from agent.results.run_verdict import RunVerdict, run_figures, verdict_of
 from agent.results.travel_parts import TravelParts
 from agent.settings.report import ReportSettings
+from agent.settings.schema import TableSettings
 from agent.thermal.thermometer import ThermometerFacts
+from agent.workpiece.measured_repeats import repeats_of
+from agent.workpiece.predicted_tests import PlaceOfTests, PredictedTests, predicted_tests
 from drivers.errors import InputError
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
 from twin.artefact.touch_pattern import RADIUS_PATTERN
+from twin.compensation.table import build_table
 from twin.errors import TwinError
 from twin.formats.estimate_file import StoredEstimate, parse_estimate
 from twin.formats.toml_reading import validate_document
@@ -142,9 +147,12 @@ def _found(record: RunRecord) -> IdentificationData | None:
     identified = record.decision(IDENTIFIED)
     if identified is None or record.estimate is None:
         return None
+    observations = Observations(**identified["observations"])
+    estimate = JournalEstimate(**vars(_stored(record)), unresolved_mm2=identified["unresolved_mm2"])
     return IdentificationData(
-        observations=Observations(**identified["observations"]),
-        estimate=JournalEstimate(**vars(_stored(record)), unresolved_mm2=identified["unresolved_mm2"]),
+        observations=observations,
+        estimate=estimate,
+        acceptance=_acceptance(record, estimate, observations),
         residuals_mm=np.array(identified["residuals_mm"], dtype=np.float64),
         positions=measured_positions(record),
         volumetric=_volumetric(identified["volumetric"]),
@@ -153,6 +161,22 @@ def _found(record: RunRecord) -> IdentificationData | None:
         travel=TravelParts.from_record(identified["travel"]),
         family_prior=_has_family_prior(record),
     )
+
+
+def _acceptance(record: RunRecord, estimate: JournalEstimate, observations: Observations) -> PredictedTests | None:
+    """Return the predicted figures of acceptance tests, with the table that follows from the estimate; None if the
+    record of the run does not say for which tool or with which grid, as may be with one of an earlier version."""
+    inputs = record.decision(INPUTS)
+    try:
+        settings = validate_document(dict(record.settings["table"]), "settings", TableSettings)
+    except (KeyError, TwinError):
+        return None
+    if inputs is None:
+        return None
+    offset = np.array(inputs["tools_mm"][record.settings["tool"]], dtype=np.float64)
+    nodes, anchor = table_grid(estimate.model, settings)
+    table = build_table(estimate.model, estimate.parameters, nodes, offset, anchor, observations.axis_positions)
+    return predicted_tests(estimate, table, "table of the estimate", PlaceOfTests(offset), repeats_of(record.decisions))
 
 
 def _has_family_prior(record: RunRecord) -> bool:

@@ -46,6 +46,7 @@ from agent.results.gates import (
 from agent.results.observations import ReferenceArtefact
 from agent.results.predicted_accuracy import planned_estimate
 from agent.results.table_replacement import ExpectedGain
+from agent.settings.schema import COVERAGE_FACTOR
 from drivers.errors import ConfigurationError
 from twin.arrays import Array
 from twin.artefact.effect_test import expected_power
@@ -168,7 +169,7 @@ class _Design:
         return (
             fit_gate(1.0, limits),
             redundancy_gate(self.estimate.degrees_of_freedom, limits),
-            self._certificate(limits.max_certificate_sigma),
+            self._certificate(limits.max_certificate_en),
             Gate(STEP, True, 1.0, limits.step_false_alarm, "probability bound of a machine that does not change"),
             Gate(PATTERN, True, 1.0, limits.pattern_false_alarm, "probability bound of balls that are not shifted"),
             self._common_scale(),
@@ -201,8 +202,9 @@ class _Design:
         """Return the gate for the largest contradiction t of n balls with a right certificate: t² has a χ² distribution
         with three degrees of freedom, and the median of the largest is where its distribution function is 2^(-1/n)."""
         balls = sum(check.certified for check in self.estimate.certificate_check)
-        value = math.sqrt(float(chdtri(3.0, -math.expm1(-math.log(2.0) / balls)))) if balls else 0.0
-        text = f"largest contradiction of {balls} right balls with their certificate, in standard deviations"
+        sigmas = math.sqrt(float(chdtri(3.0, -math.expm1(-math.log(2.0) / balls)))) if balls else 0.0
+        value = sigmas / COVERAGE_FACTOR
+        text = f"largest contradiction of {balls} right balls with their certificate, |E_n| with k = 2"
         return Gate(CERTIFICATE, value <= limit, value, limit, text)
 
     def _common_scale(self) -> Gate:

@@ -16,7 +16,7 @@ from agent.model_files import load_machine
 from agent.results.table_replacement import ExpectedGain
 from agent.results.travel_parts import TravelParts
 from agent.settings.load import naming, read_settings
-from agent.settings.schema import GateSettings
+from agent.settings.schema import COVERAGE_FACTOR, GateSettings
 from drivers.errors import InputError
 from drivers.roles import StoreLimits
 from twin.artefact.effect_test import REQUIRED_POWER
@@ -99,9 +99,9 @@ GATE_RULES: Mapping[str, GateRule] = {
         "redundant measurements", "", "gates.min_degrees_of_freedom", f"{_MORE}, or lower the limit", at_least=True
     ),
     CERTIFICATE: GateRule(
-        "contradiction to the certificate",
-        "standard deviations",
-        "gates.max_certificate_sigma",
+        "contradiction to the certificate, |E_n|",
+        "",
+        "gates.max_certificate_en",
         "raise the limit; the largest of several right balls reaches this value",
     ),
     STEP: GateRule(
@@ -272,26 +272,32 @@ def proof_gate(power: float) -> Gate:
 
 
 def certificate_gate(checks: Sequence[BallCheck], limits: GateSettings) -> Gate:
-    """Return the gate (limit) for the largest contradiction between a ball and its certificate, in standard deviations.
+    """Return the gate (limit) for the largest contradiction between a ball and its certificate, as the score
+    |E_n| of ISO 13528: the difference over its expanded uncertainty (k = 2).
 
     Balls that the artefact file declares as uncertified are left out. The text names every ball beyond the limit.
     """
     certified = sorted((check for check in checks if check.certified), key=lambda check: -check.contradiction)
-    limit = limits.max_certificate_sigma
-    wrong = [check for check in certified if check.contradiction > limit]
+    limit = limits.max_certificate_en
+    wrong = [check for check in certified if certificate_score(check) > limit]
     if not certified:
         text = "no ball of the artefact has a certificate with an uncertainty that could be tested"
     elif not wrong:
         largest = certified[0]
-        text = f"largest contradiction of a ball with its certificate, in standard deviations: ball {largest.ball}"
+        text = f"largest contradiction of a ball with its certificate, |E_n| with k = 2: ball {largest.ball}"
     else:
         numbers = ", ".join(str(ball) for ball in sorted(check.ball for check in wrong))
         text = (
             f"{'; '.join(_contradiction(check) for check in wrong)}: clean and calibrate, or state "
             f"uncertified_balls = [{numbers}] in the artefact file"
         )
-    value = certified[0].contradiction if certified else 0.0
+    value = certificate_score(certified[0]) if certified else 0.0
     return Gate(CERTIFICATE, not wrong, value, limit, text)
+
+
+def certificate_score(check: BallCheck) -> float:
+    """Return the contradiction of a ball with its certificate as the score |E_n| of ISO 13528."""
+    return check.contradiction / COVERAGE_FACTOR
 
 
 def step_gate(step: StepInRun | None, limits: GateSettings) -> Gate:
@@ -359,8 +365,8 @@ def _gate_of_test(
 def _contradiction(check: BallCheck) -> str:
     x, y, z = (UM_PER_MM * value for value in check.apparent_error_mm)
     return (
-        f"ball {check.ball} contradicts its certificate by {check.contradiction:.0f} standard deviations along "
-        f"{check.direction} (artefact frame; apparent error X {x:.1f}, Y {y:.1f}, Z {z:.1f} µm)"
+        f"ball {check.ball} contradicts its certificate along {check.direction}, |E_n| = "
+        f"{certificate_score(check):.2f} (k = 2, artefact frame; apparent error X {x:.1f}, Y {y:.1f}, Z {z:.1f} µm)"
     )
 
 

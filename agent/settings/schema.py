@@ -197,6 +197,11 @@ class TableSettings(StrictModel):
     anchor_mm: Coordinates | None = None
 
 
+EARLIER_CERTIFICATE_KEY = "max_certificate_sigma"
+COVERAGE_FACTOR = 2.0
+"""Coverage factor of the expanded uncertainties in which limits are stated."""
+
+
 class GateSettings(StrictModel):
     """Limits of the gates, which an estimate must pass before it is applied to a machine. A limit is in µm if its key
     says so.
@@ -213,12 +218,24 @@ class GateSettings(StrictModel):
     max_slope_um_per_mm: PositiveFloat = 0.5
     max_change: PositiveFloat = 3.0
     night_false_alarm: float = Field(default=0.001, gt=0.0, lt=1.0)
-    max_certificate_sigma: PositiveFloat = 5.0
+    max_certificate_en: PositiveFloat = 2.5
     step_false_alarm: float = Field(default=0.01, gt=0.0, lt=1.0)
     pattern_false_alarm: float = Field(default=0.01, gt=0.0, lt=1.0)
     common_scale_false_alarm: float = Field(default=0.01, gt=0.0, lt=1.0)
     allow_extrapolation: bool = True
     max_unmeasured_fraction: float = Field(default=1.0, gt=0.0, le=10.0)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _earlier_form(cls, given: Any) -> Any:
+        """Accept settings of earlier versions, which state the limit of the certificate in standard deviations."""
+        if not isinstance(given, dict) or EARLIER_CERTIFICATE_KEY not in given:
+            return given
+        sigmas = given[EARLIER_CERTIFICATE_KEY]
+        if "max_certificate_en" in given or isinstance(sigmas, bool) or not isinstance(sigmas, int | float):
+            return given
+        kept = {name: value for name, value in given.items() if name != EARLIER_CERTIFICATE_KEY}
+        return kept | {"max_certificate_en": sigmas / COVERAGE_FACTOR}
 
 
 class VerificationSettings(StrictModel):

@@ -13,6 +13,7 @@ from agent.figures.style import BAND_OPACITY, BLUE, INK, ORANGE, QUIET, Picture,
 from agent.workpiece.instrument_comparison import InstrumentComparison, MeasuredFigure
 from twin.units import UM_PER_MM
 from twin.workpiece.acceptance import PredictedTest
+from twin.workpiece.angles import ANGLES
 
 _COLUMNS = 3
 _WIDTH_IN, _ROW_IN, _LEGEND_IN = 10.0, 2.3, 0.7
@@ -69,7 +70,7 @@ def _draw_line(axes: Axes, one: PredictedTest, measured: Sequence[MeasuredFigure
         axes.plot(one.test.along[0] + each.along, each.curve_um, marker, label=label, **_MARKER_STYLE)
     axes.axhline(0.0, color=QUIET, linewidth=0.6)
     axes.set_xlabel("position / mm", fontsize=8.0)
-    axes.set_ylabel("deviation / µm", fontsize=8.0)
+    axes.set_ylabel("angle / µrad" if one.test.feature.name in ANGLES else "deviation / µm", fontsize=8.0)
 
 
 def _draw_circle(axes: Axes, one: PredictedTest, measured: Sequence[MeasuredFigure]) -> None:

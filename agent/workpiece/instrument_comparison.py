@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ NO_TABLE = 0
 LEAST_AGREEING = 0.9
 """Share of agreeing figures below which prediction and instruments contradict each other. One figure in twenty
 disagrees by chance, and the figures of one machine are correlated."""
+_POSITIONING = ("A", "E", "R", "B")
 _DIGITS = 3
 
 
@@ -131,20 +133,29 @@ class InstrumentComparison:
 
 
 def compare_with_instruments(predicted: PredictedTests, ask: Ask, table_bank: int | None) -> InstrumentComparison:
-    """Measure the figures of all tests, first without table, then with the table in the bank `table_bank` of the
-    controller, and compare them with the prediction. Every measurement has a set-up of its own.
+    """Measure the figures of all tests without table and with the table in the bank `table_bank` of the controller,
+    first those of the geometry and then those of positioning, and compare them with the prediction. Every measurement
+    has a set-up of its own.
 
-    If `table_bank` is None or no table was predicted, the machine is only measured without table.
+    If `table_bank` is None or no table was predicted, the machine is only measured without table. Angles are not
+    measured, nor figures of positioning from one side alone.
     """
-    with_table = table_bank is not None and all(one.figure.with_table is not None for one in predicted.tests)
+    positioning = [one for one in predicted.positioning if _is_measured(one.test)]
+    tests = [*predicted.tests, *positioning]
+    with_table = table_bank is not None and all(one.figure.with_table is not None for one in tests)
     banks = [NO_TABLE, table_bank] if with_table else [NO_TABLE]
     figures: list[ComparedFigure] = []
-    for bank in banks:
-        for one in predicted.tests:
+    for group, bank in product((predicted.tests, positioning), banks):
+        for one in group:
             request = instrument_request(one.test, predicted.tool_offset_mm)
             answer = ask({**request, "bank": bank, "seed": len(figures) + 1})
             figures.append(ComparedFigure(one, bank != NO_TABLE, _measured(one.test, answer)))
     return InstrumentComparison(predicted, tuple(figures))
+
+
+def _is_measured(test: AcceptanceTest) -> bool:
+    """Return True if the interferometer evaluates this figure of positioning."""
+    return test.feature.name.split()[0] in _POSITIONING
 
 
 def instrument_request(test: AcceptanceTest, tool_offset_mm: Array) -> dict[str, Any]:
@@ -194,6 +205,8 @@ def _measured(test: AcceptanceTest, answer: Mapping[str, Any]) -> MeasuredFigure
             name, along = "straightness", "position_mm"
         case "ISO 230-4", _:
             name, along = "g_mean", "mean_angle_rad"
+        case "ISO 230-2", _:
+            name, along = test.feature.name.split()[0].lower(), "position_mm"
         case _:
             name, along = "m", "position_mm"
     return MeasuredFigure(

@@ -10,14 +10,17 @@ import numpy as np
 
 from agent.files import translated
 from agent.workpiece.estimate_and_table import read_estimate_and_table
+from agent.workpiece.measured_repeats import MeasuredRepeats, measured_repeats
 from agent.workpiece.predicted_features import error_document
 from twin.arrays import Array
 from twin.compensation.table import CompensationTable
 from twin.machine.error_model import Ranges
+from twin.machine.kinematic_chain import AXES
 from twin.units import UM_PER_MM
-from twin.workpiece.acceptance import PredictedTest, acceptance_tests, predict_tests
-from twin.workpiece.features import Measure
+from twin.workpiece.acceptance import PredictedTest, acceptance_tests, axis_line, predict_tests
+from twin.workpiece.angles import predict_angles
 from twin.workpiece.machine_field import MachineKnowledge
+from twin.workpiece.positioning import predict_positioning
 
 _DIGITS = 4
 _RADII_MM = (150.0, 100.0, 50.0, 25.0, 10.0)
@@ -40,12 +43,25 @@ class AcceptanceRequest:
 @dataclass(frozen=True, eq=False)
 class PredictedTests:
     """Predicted figures and curves of acceptance tests about `centre_mm` (3,). `table` is the name of the table, as
-    a rule its file, and None without one."""
+    a rule its file, and None without one.
+
+    `tests` follow from the geometry alone. `angles` are the angular error motions. `positioning` are the figures of ISO
+    230-2 that also need what the run has measured of repeatability and lost motion; `not_measured` says which of them
+    are missing and why.
+    """
 
     tests: tuple[PredictedTest, ...]
     centre_mm: Array
     tool_offset_mm: Array
     table: str | None
+    angles: tuple[PredictedTest, ...] = ()
+    positioning: tuple[PredictedTest, ...] = ()
+    not_measured: tuple[str, ...] = ()
+
+    @property
+    def all_tests(self) -> tuple[PredictedTest, ...]:
+        """All figures in the order in which they are listed."""
+        return (*self.tests, *self.angles, *self.positioning)
 
     @property
     def heading(self) -> str:
@@ -59,7 +75,8 @@ class PredictedTests:
             "centre_mm": self.centre_mm.tolist(),
             "tool_offset_mm": self.tool_offset_mm.tolist(),
             "table": self.table,
-            "tests": [_document(one) for one in self.tests],
+            "tests": [_document(one) for one in self.all_tests],
+            "not_measured": list(self.not_measured),
         }
 
 
@@ -70,31 +87,46 @@ def predict_acceptance(request: AcceptanceRequest) -> PredictedTests:
     leaves the travel for which the machine was identified.
     """
     known = read_estimate_and_table(request.estimate, request.table, request.without_table, request.tool_offset_mm)
-    ranges = known.estimate.model.ranges_mm
-    centre = np.array(request.centre_mm or np.mean(ranges, axis=1))
-    radii_mm = request.radii_mm or (_fitting_radius(ranges, centre),)
-    with translated():
-        tests = acceptance_tests(ranges, known.tool_offset_mm, centre, radii_mm)
-        predicted = predict_tests(known.estimate, tests, known.tool_offset_mm, known.table)
-    return PredictedTests(predicted, centre, known.tool_offset_mm, known.table_name)
+    repeats = measured_repeats(request.estimate)
+    place = PlaceOfTests(known.tool_offset_mm, request.centre_mm, request.radii_mm)
+    return predicted_tests(known.estimate, known.table, known.table_name, place, repeats)
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceOfTests:
+    """Place of acceptance tests: the offset (3,) of the tool in mm, the axis position in mm through which lines and
+    circles run (None for the middle of the travel), and the radii of the circles in mm (empty for a usual one)."""
+
+    tool_offset_mm: Array
+    centre_mm: tuple[float, float, float] | None = None
+    radii_mm: tuple[float, ...] = ()
 
 
 def predicted_tests(
-    estimate: MachineKnowledge, tool_offset: Array, table: CompensationTable | None = None
-) -> tuple[PredictedTest, ...]:
-    """Return the predicted figures of the tests about the middle of the travel, with circles of the usual radius that
-    fits, for a tool with the offset `tool_offset` (3,) in mm. Raises InputError if a circle leaves the travel."""
-    ranges = estimate.model.ranges_mm
-    centre = np.mean(ranges, axis=1)
+    estimate: MachineKnowledge,
+    table: CompensationTable | None,
+    table_name: str | None,
+    place: PlaceOfTests,
+    repeats: MeasuredRepeats,
+) -> PredictedTests:
+    """Return the predicted figures of acceptance tests of the machine of `estimate`. Raises InputError if a line or
+    circle leaves the travel for which the machine was identified."""
+    ranges, offset = estimate.model.ranges_mm, place.tool_offset_mm
+    centre = np.array(place.centre_mm or np.mean(ranges, axis=1))
+    radii_mm = place.radii_mm or _fitting_radius(ranges, centre)
     with translated():
-        tests = acceptance_tests(ranges, tool_offset, centre, (_fitting_radius(ranges, centre),))
-        return predict_tests(estimate, tests, tool_offset, table)
+        tests = acceptance_tests(ranges, offset, centre, radii_mm)
+        predicted = predict_tests(estimate, tests, offset, table)
+        lines = tuple(axis_line(ranges, centre, axis) for axis in range(len(AXES)))
+        angles = predict_angles(estimate, lines, offset, with_table=table is not None)
+        positioning = predict_positioning(estimate, tests, repeats.axes, offset, table)
+    return PredictedTests(predicted, centre, offset, table_name, angles, positioning, repeats.not_measured)
 
 
-def _fitting_radius(ranges: Ranges, centre: Array) -> float:
-    """Return the largest of the usual radii in mm with which the circles stay inside the travel, or the smallest."""
+def _fitting_radius(ranges: Ranges, centre: Array) -> tuple[float, ...]:
+    """Return the largest of the usual radii in mm with which the circles stay inside the travel; empty if none does."""
     room = float(min(np.min(np.abs(np.array(ranges).T - centre), axis=0)))
-    return next((radius for radius in _RADII_MM if radius <= room), _RADII_MM[-1])
+    return next(((radius,) for radius in _RADII_MM if radius <= room), ())
 
 
 def _document(one: PredictedTest) -> dict[str, Any]:
@@ -105,7 +137,7 @@ def _document(one: PredictedTest) -> dict[str, Any]:
         "meaning": one.test.title,
         "without_table": _figure(error_document(one.figure.without_table)),
         "with_table": None if with_table is None else _figure(error_document(with_table)),
-        **(_curve(one) if one.test.feature.measure is Measure.RANGE else {}),
+        **(_curve(one) if len(one.curve_mm) > 1 else {}),
     }
 
 

@@ -7,30 +7,36 @@ from pathlib import Path
 from typing import Any
 
 from agent.files import translated
+from agent.model_files import load_machine
 from agent.workpiece.estimate_and_table import read_estimate_and_table
+from drivers.errors import InputError
+from twin.machine.error_model import ErrorModel
+from twin.machine.mounting import Mounting
 from twin.units import UM_PER_MM
-from twin.workpiece.mechanical_actions import (
-    ActionKind,
-    ActionPlan,
-    MechanicalAction,
-    VolumetricState,
-    plan_actions,
-)
+from twin.workpiece.action_fields import ActionKind, MechanicalAction
+from twin.workpiece.mechanical_actions import ActionPlan, VolumetricState, plan_actions
 
 UM_PER_M = 1e6
 """Micrometres per metre, or microradians, of an amount of 1."""
 AT_THIS_TEMPERATURE = (
     "A scale is that of the machine's temperature during the measurement: a steel scale changes by about 11 µm/m per K."
 )
+GUIDES_UNKNOWN = (
+    "Shims of a rail are not proposed: a shim also tilts the carriage. State the distance of its shoes in the machine "
+    "file (axes.X.guide), and name this file with --machine."
+)
 _DIGITS = 3
+_LEAST_HEIGHT_MM = 5e-5
 
 
 @dataclass(frozen=True)
 class ProposedActions:
-    """Plan of actions on the machine of the file `estimate`."""
+    """Plan of actions on the machine of the file `estimate`. `knows_guides` is False if no guide of the machine was
+    stated."""
 
     estimate: Path
     plan: ActionPlan
+    knows_guides: bool
 
     def as_json(self) -> dict[str, Any]:
         """Return the plan as a JSON object, with volumetric errors in µm and amounts in µm/m."""
@@ -43,10 +49,8 @@ class ProposedActions:
                     "kind": action.kind.value,
                     "axis": action.axis,
                     "towards": action.towards,
-                    "amount_um_per_m": round(UM_PER_M * action.amount, _DIGITS),
-                    "expanded_um_per_m": round(UM_PER_M * action.expanded, _DIGITS),
                     "travel_mm": action.travel_mm,
-                    "over_travel_um": round(UM_PER_MM * action.over_travel_mm, _DIGITS),
+                    **_amounts(action),
                     "text": action_text(action),
                     "ve_after": _state(state),
                 }
@@ -55,19 +59,31 @@ class ProposedActions:
         }
 
 
-def propose_actions(estimate: Path, most: int, tool_offset_mm: tuple[float, float, float] | None) -> ProposedActions:
+def propose_actions(
+    estimate: Path, most: int, tool_offset_mm: tuple[float, float, float] | None, machine: Path | None = None
+) -> ProposedActions:
     """Return the actions that the estimate of a file, or of the folder of a run, proposes.
 
-    Raises InputError, which names the file and the key, if the file is invalid.
+    `machine` is the machine file that states guides and feet, None without one.
+
+    Raises InputError, which names the file and the key, if a file is invalid or describes another machine.
     """
     known = read_estimate_and_table(estimate, None, True, tool_offset_mm)
+    mounting = Mounting() if machine is None else _mounting(machine, known.estimate.model)
     with translated(file=str(estimate)):
-        plan = plan_actions(known.estimate, known.tool_offset_mm, most)
-    return ProposedActions(estimate, plan)
+        plan = plan_actions(known.estimate, known.tool_offset_mm, most, mounting)
+    return ProposedActions(estimate, plan, bool(mounting.guides))
 
 
 def action_text(action: MechanicalAction) -> str:
-    """Return what to turn, in words."""
+    """Return what to do at the machine, in words."""
+    if action.kind is ActionKind.STRAIGHTNESS:
+        shims = ", ".join(
+            f"{UM_PER_MM * shim.amount_mm:+.1f} µm at {action.axis} = {shim.at_mm:.0f} mm" for shim in action.shims
+        )
+        return f"straighten the guide of {action.axis}: shim it towards +{action.towards} by {shims}"
+    if action.kind is ActionKind.LEVEL:
+        return _level_text(action)
     over = f"{UM_PER_MM * abs(action.over_travel_mm):.1f} µm"
     if action.kind is ActionKind.SCALE:
         verb = "lengthen" if action.amount > 0.0 else "shorten"
@@ -77,6 +93,62 @@ def action_text(action: MechanicalAction) -> str:
         f"turn the guide of {action.axis}: over {action.travel_mm:g} mm towards +{action.axis}, the tool must move "
         f"{over} further towards {sign}{action.towards} relative to the workpiece"
     )
+
+
+def amount_texts(action: MechanicalAction) -> tuple[str, str]:
+    """Return the amounts of an action and their expanded uncertainties (k = 2), with their unit."""
+    if action.kind is ActionKind.STRAIGHTNESS:
+        amounts = ", ".join(f"{UM_PER_MM * shim.amount_mm:+.1f}" for shim in action.shims)
+        bounds = ", ".join(f"{UM_PER_MM * shim.expanded_mm:.1f}" for shim in action.shims)
+        return f"{amounts} µm", f"± {bounds} µm"
+    return f"{UM_PER_M * action.amount:+.1f} µm/m", f"± {UM_PER_M * action.expanded:.1f} µm/m"
+
+
+def _level_text(action: MechanicalAction) -> str:
+    low_mm, high_mm = action.low_mm, action.low_mm + action.travel_mm
+    half = 0.5 * UM_PER_M * action.amount
+    roll = (
+        f"level the guide of {action.axis}: roll about +{action.axis} by {-half:+.1f} µm/m at {action.axis} = "
+        f"{low_mm:.0f} mm and {half:+.1f} µm/m at {high_mm:.0f} mm"
+    )
+    raised = [foot for foot in action.feet if foot.height_mm > _LEAST_HEIGHT_MM]
+    if not raised:
+        return roll
+    return f"{roll}; raise {', '.join(f'foot {foot.name} by {UM_PER_MM * foot.height_mm:.0f} µm' for foot in raised)}"
+
+
+def _amounts(action: MechanicalAction) -> dict[str, Any]:
+    """Return the amounts of an action by their names in the JSON object."""
+    if action.kind is ActionKind.STRAIGHTNESS:
+        shims = [
+            {
+                "at_mm": round(shim.at_mm, _DIGITS),
+                "amount_um": round(UM_PER_MM * shim.amount_mm, _DIGITS),
+                "expanded_um": round(UM_PER_MM * shim.expanded_mm, _DIGITS),
+            }
+            for shim in action.shims
+        ]
+        return {"shims": shims}
+    found: dict[str, Any] = {
+        "amount_um_per_m": round(UM_PER_M * action.amount, _DIGITS),
+        "expanded_um_per_m": round(UM_PER_M * action.expanded, _DIGITS),
+    }
+    if action.kind is ActionKind.LEVEL:
+        feet = {foot.name: round(UM_PER_MM * foot.height_mm, _DIGITS) for foot in action.feet}
+        return found | {"raised_feet_um": feet}
+    return found | {"over_travel_um": round(UM_PER_MM * action.over_travel_mm, _DIGITS)}
+
+
+def _mounting(machine: Path, model: ErrorModel) -> Mounting:
+    """Return the guides and feet of a machine file. Raises InputError if it describes another machine than `model`."""
+    described = load_machine(machine)
+    if (described.model.chain, described.model.ranges_mm) != (model.chain, model.ranges_mm):
+        raise InputError(
+            "the machine file describes another machine than the estimate: its chain or its axis ranges differ",
+            hint="Name the machine file with which the machine was measured",
+            file=str(machine),
+        )
+    return described.mounting
 
 
 def _state(state: VolumetricState) -> dict[str, Any]:

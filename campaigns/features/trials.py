@@ -32,7 +32,8 @@ from campaigns.foreign.machine import TOOL, DrawnMachine
 from campaigns.foreign.trials import GENERATORS
 from twin.compensation.table import CompensationTable
 from twin.identification import Estimate
-from twin.workpiece.acceptance import acceptance_tests
+from twin.workpiece.acceptance import SLOPE_LENGTH_MM, acceptance_tests, axis_line
+from twin.workpiece.angles import predict_angles
 from twin.workpiece.conformity import Conformity
 from twin.workpiece.features import Measure, Tolerance
 from twin.workpiece.placement import Placement
@@ -73,7 +74,20 @@ def one_machine(generator: str, each: int, number: int) -> list[ComparedFeature]
     machine, estimate, table = found.machine, found.estimate, found.table
     low, high = np.array(machine.ranges).T
     drawn = [*draw(low + _TOOL, high + _TOOL, each, rng), *_tests(machine.ranges, rng)]
-    return [row for one in drawn for row in _compared(machine, estimate, table, one, rng)]
+    rows = [row for one in drawn for row in _compared(machine, estimate, table, one, rng)]
+    return [*rows, *_angles(machine, estimate)]
+
+
+def _angles(machine: DrawnMachine, estimate: Estimate) -> list[ComparedFeature]:
+    """Return the comparisons of the ranges of the angular error motions. A table does not change them."""
+    ranges = estimate.model.ranges_mm
+    lines = tuple(axis_line(ranges, np.mean(ranges, axis=1), axis) for axis in range(3))
+    rows = []
+    for number, one in enumerate(predict_angles(estimate, lines, _TOOL, with_table=False)):
+        axis, about = divmod(number, 3)
+        true_mm = SLOPE_LENGTH_MM * float(np.ptp(machine.angles(axis, lines[axis][1])[:, about]))
+        rows.append(ComparedFeature("ISO 230-1 angle", False, true_mm, one.figure.without_table, 0.0))
+    return rows
 
 
 def _tests(ranges: tuple[tuple[float, float], ...], rng: np.random.Generator) -> list[DrawnFeature]:
@@ -144,7 +158,7 @@ def main() -> int:
             rows = [row for found in workers.map(work, range(given.machines)) for row in found]
         groups = {}
         for group in dict.fromkeys(row.group for row in rows):
-            for active in (False, True):
+            for active in sorted({row.table for row in rows if row.group == group}):
                 chosen = [row for row in rows if row.group == group and row.table is active]
                 groups[f"{group}, {'with' if active else 'without'} table"] = summary(chosen)
         for name, figures in groups.items():

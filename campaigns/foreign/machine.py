@@ -55,6 +55,11 @@ class DrawnMachine(Protocol):
         """Return the position of the tool point minus the nominal one, (n, 3) in mm, at axis positions (n, 3)."""
         ...
 
+    def angles(self, axis: int, positions: np.ndarray, /) -> np.ndarray:
+        """Return the angular error motions (n, 3) in rad about X, Y and Z of the axis number `axis` at its positions
+        (n,) in mm."""
+        ...
+
     def axis_positions_at(self, points: np.ndarray) -> np.ndarray:
         """Return the axis positions (n, 3) at which the real tool point stands at workpiece points (n, 3)."""
         ...
@@ -145,6 +150,11 @@ class ForeignMachine:
             point = _turned(found[:, 3:], point) + travel * directions[axis] + found[:, :3]
         nominal = axis_positions - low + TOOL
         return np.asarray(point - nominal + self.worse * self._bent(share))
+
+    def angles(self, axis: int, positions: np.ndarray, /) -> np.ndarray:
+        """Return the angular error motions (n, 3) in rad of one axis."""
+        low, high = self.ranges[axis]
+        return np.asarray(self.worse * self.motions[axis].at((positions - low) / (high - low))[:, 3:])
 
     def _bent(self, share: np.ndarray) -> np.ndarray:
         """Return the deflection (n, 3) in mm of ram and column."""

@@ -66,11 +66,19 @@ class SineMachine:
         point = (chain @ np.append(_TOOL, 1.0))[:, :3]
         return np.asarray(point - (axis_positions - _LOW + _TOOL) + self._bending(np.clip(share, 0.0, 1.0)))
 
-    def _joint(self, axis: int, share: np.ndarray) -> np.ndarray:
-        """Return the homogeneous matrices (n, 4, 4) of an axis at shares (n,) of its travel."""
+    def angles(self, axis: int, positions: np.ndarray, /) -> np.ndarray:
+        """Return the angular error motions (n, 3) in rad of one axis at its positions (n,) in mm."""
+        return self._errors(axis, (positions - _LOW[axis]) / (_HIGH - _LOW)[axis])[:, 3:]
+
+    def _errors(self, axis: int, share: np.ndarray) -> np.ndarray:
+        """Return the error motions (n, 6) of an axis in mm and rad at shares (n,) of its travel."""
         amplitude, periods, phase = self.sines[axis].T
         errors = np.stack([np.polynomial.legendre.legval(2.0 * share - 1.0, one) for one in self.series[axis]], axis=1)
-        errors += amplitude * np.sin(2.0 * np.pi * periods * share[:, None] + phase)
+        return np.asarray(errors + amplitude * np.sin(2.0 * np.pi * periods * share[:, None] + phase))
+
+    def _joint(self, axis: int, share: np.ndarray) -> np.ndarray:
+        """Return the homogeneous matrices (n, 4, 4) of an axis at shares (n,) of its travel."""
+        errors = self._errors(axis, share)
         zy, zx, yx = self.squareness.tolist()
         along = np.array([[1.0, 0.0, 0.0], [-yx, 1.0, 0.0], [zx, -zy, 1.0]])[axis]
         joint = np.zeros((len(share), 4, 4))

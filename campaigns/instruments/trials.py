@@ -30,7 +30,7 @@ from agent.results.table_image import image_of
 from agent.workpiece.instrument_comparison import ComparedFigure, InstrumentComparison, compare_with_instruments
 from agent.workpiece.predicted_tests import PredictedTests
 from campaigns.foreign.calibrated_machine import calibrated_machine
-from campaigns.foreign.machine import TOOL, DrawnMachine
+from campaigns.foreign.machine import RANGES, TOOL, DrawnMachine
 from campaigns.instruments.trial_options import read_options
 from simulators.instruments.machine_under_test import MachineUnderTest
 from simulators.scenario import AxisBehaviour, StoreSettings
@@ -40,6 +40,7 @@ from simulators.world.tables import TableBanks
 from twin.compensation.table import CompensationTable
 from twin.workpiece.acceptance import acceptance_tests, predict_tests
 from twin.workpiece.agreement import EN_LIMIT
+from twin.workpiece.positioning import AxisRepeats, predict_positioning
 
 REQUIRED_SHARE = 0.95
 _SEED = 31
@@ -100,6 +101,31 @@ def in_front_of_instruments(
     )
 
 
+def touched_repeats(floor: ShopFloor, number: int) -> dict[str, AxisRepeats]:
+    """Return what a run would measure of lost motion and repeatability, at one place and with a probe that scatters.
+
+    Each axis is touched eight times from each side at two points; the scatter is that of two axes and the probe.
+    """
+    rng = np.random.default_rng([number, _SEED, 2])
+    touches, freedom = 32, 29
+    scatter_um = float(np.hypot(np.sqrt(2.0) * floor.axes.repeatability_um, rng.uniform(0.1, 0.5)))
+    found = {}
+    for name, travel, backlash_um, growth in zip(
+        "XYZ", RANGES, floor.axes.backlash_of_axes_um, floor.axes.backlash_growth_um_per_m, strict=True
+    ):
+        at_mm = float(rng.uniform(*travel))
+        lost_um = max(backlash_um + 1e-3 * growth * at_mm, 0.0)
+        sigma_um = 2.0 * scatter_um / np.sqrt(touches)
+        found[name] = AxisRepeats(
+            scatter_mm=1e-3 * scatter_um * float(np.sqrt(rng.chisquare(freedom) / freedom)),
+            freedom=freedom,
+            lost_mm=1e-3 * float(lost_um + sigma_um * rng.standard_normal()),
+            lost_sigma_mm=1e-3 * sigma_um,
+            at_mm=at_mm,
+        )
+    return found
+
+
 def one_machine(generator: str, number: int, wrong_scale: float = 0.0) -> InstrumentComparison:
     """Return the comparison for machine `number` of a generator."""
     rng = np.random.default_rng([number, _SEED])
@@ -108,8 +134,11 @@ def one_machine(generator: str, number: int, wrong_scale: float = 0.0) -> Instru
     low, high = np.array(machine.ranges).T
     centre = rng.uniform(low + _MARGIN_MM, high - _MARGIN_MM)
     tests = acceptance_tests(estimate.model.ranges_mm, _TOOL, centre, (_RADIUS_MM,))
-    predicted = PredictedTests(predict_tests(estimate, tests, _TOOL, table), centre, _TOOL, None)
     floor, base = shop_floor(rng), int(rng.integers(2**31))
+    positioning = predict_positioning(estimate, tests, touched_repeats(floor, number), _TOOL, table)
+    predicted = PredictedTests(
+        predict_tests(estimate, tests, _TOOL, table), centre, _TOOL, None, positioning=positioning
+    )
 
     def ask(request: Mapping[str, Any]) -> Mapping[str, Any]:
         active = table if request["bank"] == _TABLE_BANK else None
@@ -168,5 +197,5 @@ def _groups(figures: Sequence[ComparedFigure]) -> dict[str, dict[str, float]]:
 
 def _group(figure: ComparedFigure) -> str:
     test = figure.test.test
-    squareness = test.feature.name.startswith("squareness")
-    return f"{test.standard} squareness" if squareness else test.standard
+    first = test.feature.name.split()[0]
+    return f"{test.standard} {first}" if first in ("squareness", "A", "E", "R", "B") else test.standard

@@ -71,13 +71,15 @@ class LineMeasurement:
 
     `deviations` (runs, 2, n) are the deviations of position, forwards and backwards. `mean_range` is M, the range of
     the mean bidirectional deviations, `systematic` E, `accuracy` A, `repeatability` R and `reversal` B.
-    `mean_range_u` is the standard uncertainty of M.
+    `mean_range_u` is the standard uncertainty of M, and of E and A too: it contains the scale of the instrument and the
+    scatter of the readings. `reading_u` is that of one reading at the far end, which R and B contain.
     """
 
     along_mm: Array
     deviations: Array
     mean_range: float
     mean_range_u: float
+    reading_u: float
     systematic: float
     accuracy: float
     repeatability: float
@@ -117,6 +119,7 @@ def measure_line(
         deviations=deviations,
         mean_range=float(range_of(mean)),
         mean_range_u=_uncertainty(line, mean, scatter_of_mean(deviations), quality, seed),
+        reading_u=float(_reading_sigma_mm(line.along_mm, quality).max()),
         systematic=float(mean_of_direction.max() - mean_of_direction.min()),
         accuracy=float(upper.max() - lower.min()),
         repeatability=float(repeatability.max()),

@@ -68,6 +68,25 @@ def _assert_front(said: dict[str, Any]) -> None:
     assert "<svg" in Path("set-front.svg").read_text()
 
 
+def test_planned_readings_of_a_laser_make_the_same_positions_worth_more():
+    rows = "".join(f"{x},250,200,0.0\n" for x in range(0, 801, 100))
+    Path("laser.csv").write_text(
+        '# instrument = "laser"\n# tool = "probe"\n# sigma_um = 0.3\nx_mm,y_mm,z_mm,reading_um\n' + rows
+    )
+    asked = ("design", "--case", "mill", "--positions", "3", *COARSE, "--out", "set.csv")
+    alone, joined = volcal_json(*asked), volcal_json(*asked, "--instrument", "laser.csv")
+    assert (alone["instruments"], joined["instruments"]) == ([], ["laser.csv"])
+    assert len(joined["positions"]) == len(alone["positions"]) == 3
+    assert joined["expected_vce_um"] < alone["expected_vce_um"]
+
+
+def test_a_file_of_planned_readings_that_is_none_is_refused():
+    Path("laser.csv").write_text('# instrument = "laser"\nx_mm,y_mm,z_mm,reading_um\n1,2,3,0\n')
+    code, line = refused("design", *CASE, "--positions", "3", *COARSE, "--instrument", "laser.csv")
+    assert code == 2
+    assert "laser.csv" in line
+
+
 def test_a_target_is_kept_and_the_search_for_an_artefact_shows_every_way():
     said = volcal_json(
         *("design", *CASE, "--target-vce", "6.5", "--touches", "5,9", "--balls", "7", "--out", "set.csv", *COARSE)

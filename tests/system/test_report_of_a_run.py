@@ -246,6 +246,25 @@ class TestRebuilt:
         for one in wanted:
             assert one in text, one
 
+    def test_the_page_lists_the_acceptance_tests_that_the_command_predicts(self, season: Season) -> None:
+        run_id = season.calibrated.outcome.run_id
+        stated = volcal_json("acceptance", "--estimate", season.state / run_id)
+        found = report_of(read_record(season.state, run_id)).identification
+        assert found is not None
+        assert found.acceptance is not None
+        assert list(found.acceptance.not_measured) == stated["not_measured"]
+        listed = {one.test.feature.name: one.figure for one in found.acceptance.all_tests}
+        assert list(listed) == [one["figure"] for one in stated["tests"]]
+        for one in stated["tests"]:
+            figure = listed[one["figure"]]
+            assert one["without_table"]["expected_um"] == pytest.approx(
+                1e3 * figure.without_table.expected_mm, abs=1e-3
+            )
+            assert figure.with_table is not None
+            # the table of the file has the resolution of the controller
+            assert one["with_table"]["expected_um"] == pytest.approx(1e3 * figure.with_table.expected_mm, abs=0.2)
+        assert 'id="acceptance"' in page(season, season.calibrated)
+
     def test_a_verification_has_a_report_of_its_own(self, season: Season) -> None:
         assert season.verified.error is None
         text = page(season, season.verified)

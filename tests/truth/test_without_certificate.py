@@ -238,5 +238,5 @@ def test_a_length_that_contradicts_the_balls_writes_nothing(tmp_path: Path) -> N
     result = run_identify(tmp_path, 0, tmp_path / "bar.toml", "out")
     assert result.exit_code == 2
     assert "end_length_mm" in result.stderr
-    assert "standard deviations" in result.stderr
+    assert "|E_n|" in result.stderr
     assert not (tmp_path / "out").exists()

@@ -28,7 +28,8 @@ well, the uncertainty exceeds the errors of the machines that the artefact is to
 TRACEABLE_PPM = 10.0
 """Largest relative standard uncertainty, in ppm, of the best-known length of an artefact that gives a scale."""
 
-_MAX_CONTRADICTION = 5.0
+_MAX_SCORE = 2.5
+_COVERAGE_FACTOR = 2.0
 _PER_PPM = 1e-6
 _INDEPENDENT = 1e-9  # smallest singular value, relative to the largest, of an independent motion
 _EXACT_MM = 1e-5  # least uncertainty of a centre: an exact certificate has no weight otherwise
@@ -166,7 +167,7 @@ def with_reference_length(balls: Array, covariance: Array, length: BallDistance)
     """Return the centres (N, 3) in mm and their covariance (3N, 3N) in mm², updated by a measured length.
 
     The update is Gaussian and linear along the line between the two balls. Raise DataError if the length contradicts
-    the certificate, that is, if it differs by more than five standard deviations.
+    the certificate, that is, if the score |E_n| of ISO 13528 (k = 2) exceeds 2.5.
     """
     first, second = length.balls
     _check_ball(first, len(balls))
@@ -178,11 +179,11 @@ def with_reference_length(balls: Array, covariance: Array, length: BallDistance)
     across = covariance @ gradient
     variance = float(gradient @ across) + length.standard_uncertainty_mm**2
     difference_mm = length.length_mm - certified_mm
-    contradiction = abs(difference_mm) / math.sqrt(variance)
-    if contradiction > _MAX_CONTRADICTION:
+    score = abs(difference_mm) / (_COVERAGE_FACTOR * math.sqrt(variance))
+    if score > _MAX_SCORE:
         raise DataError(
             f"the reference length of balls {first} and {second} is {length.length_mm:.4f} mm, but their centres are "
-            f"{certified_mm:.4f} mm apart: {1e3 * difference_mm:+.1f} µm or {contradiction:.1f} standard deviations",
+            f"{certified_mm:.4f} mm apart: {1e3 * difference_mm:+.1f} µm, |E_n| = {score:.2f} (k = 2)",
             hint="check both values and their temperature. If the scale of the certificate is in doubt, state it as "
             "length_standard_uncertainty_ppm: the reference length then corrects it. If one ball is in doubt, list it "
             "in uncertified_balls",

@@ -59,12 +59,15 @@ class LostMotion:
     lags behind its drive.
 
     `value_mm` is the deviation after downward motion minus the deviation after upward motion. This difference is the
-    reversal value of ISO 230-2 with the opposite sign.
+    reversal value of ISO 230-2 with the opposite sign. `scatter_mm` is the standard deviation of touches of one point
+    with the same preload direction, with `freedom` degrees of freedom; it is 0 if there are none.
     """
 
     value_mm: float
     sigma_mm: float
     touches: int
+    scatter_mm: float
+    freedom: int
 
 
 def plan_oblique_touches(axis: int, stylus_axis: Array) -> tuple[ObliqueTouch, ObliqueTouch]:
@@ -123,7 +126,7 @@ def fit_lost_motion(
     left = reading - value * lever
     scatter = math.sqrt(float(left @ left) / freedom) if freedom > 0 else 0.0
     # A few touches that happen to agree would state too small an uncertainty; the probe's repeatability is its floor.
-    return LostMotion(value, max(scatter, floor_mm) / math.sqrt(strength), len(reading))
+    return LostMotion(value, max(scatter, floor_mm) / math.sqrt(strength), len(reading), scatter, max(freedom, 0))
 
 
 def _touch_point(axis: int, along: int, front: Array, beside: int, side: float) -> ObliqueTouch:

@@ -12,6 +12,7 @@ from pydantic import AfterValidator, Field
 from twin.errors import FormatError, TwinError
 from twin.formats.beam_section import StructuralBeamSection, derived_from, require_distinct_beams
 from twin.formats.deflection_file import parse_deflection
+from twin.formats.mounting_section import FootSection, GuideSection, mounting_of
 from twin.formats.toml_reading import StrictModel, read_toml
 from twin.machine.cross_term import COLUMN_AND_RAM
 from twin.machine.deflection import DeflectionGrid
@@ -33,13 +34,15 @@ CrossTerm = Literal["b0", "b1", "b2", "c0", "c1"]
 
 class AxisSection(StrictModel):
     """Section of a machine file for one linear axis. `range_mm` is the range in which the error model is valid.
-    `travel_mm` contains the soft limits. If `travel_mm` is not given, the soft limits are equal to `range_mm`."""
+    `travel_mm` contains the soft limits. If `travel_mm` is not given, the soft limits are equal to `range_mm`. `guide`
+    describes the guide of the axis."""
 
     range_mm: tuple[float, float]
     travel_mm: tuple[float, float] | None = None
     rapid_mm_per_min: Positive
     feed_mm_per_min: Positive = 3000.0
     acceleration_mm_per_s2: Positive
+    guide: GuideSection | None = None
 
 
 class AxesSection(StrictModel):
@@ -97,6 +100,7 @@ class MachineSection(StrictModel):
     tools: Annotated[dict[str, ToolSection], Field(min_length=1)]
     model: ModelSection = ModelSection()
     beams: Annotated[tuple[StructuralBeamSection, ...], AfterValidator(require_distinct_beams)] = ()
+    feet: tuple[FootSection, ...] = ()
     deflection: DeflectionSection | None = None
 
 
@@ -144,6 +148,7 @@ def _build_description(
         deflection=_deflection(section.deflection, source, read_text),
         derived_terms=derived,
         beams=tuple(beam.beam for beam in section.beams),
+        mounting=mounting_of(dict(zip(AXES, (axis.guide for axis in axes), strict=True)), section.feet),
     )
 
 

@@ -12,6 +12,7 @@ from twin.machine.deflection import DeflectionGrid
 from twin.machine.error_model import ERROR_MOTIONS, ErrorModel, Ranges
 from twin.machine.kinematic_chain import AXES
 from twin.machine.machine_population import Family, family_from_amplitudes
+from twin.machine.mounting import Mounting
 from twin.machine.structure import DerivedTerm, StructuralBeam
 
 Triple = tuple[float, float, float]
@@ -27,6 +28,7 @@ class MachineDescription(Displayed):
     family of machines (the prior population). From these half-widths the family can also be built for a different
     Legendre order. `derived_terms` contains all terms of the cross-effect that follow from the beams of the machine,
     the redundant ones included, and `beams` contains these beams; both are empty if the machine file states no beams.
+    `mounting` contains its feet and the guides of its axes.
     """
 
     name: str
@@ -41,6 +43,7 @@ class MachineDescription(Displayed):
     deflection: DeflectionGrid | None
     derived_terms: tuple[DerivedTerm, ...] = ()
     beams: tuple[StructuralBeam, ...] = ()
+    mounting: Mounting = field(default_factory=Mounting)
 
     def __repr__(self) -> str:
         return f"<MachineDescription: {self.name!r}, {self.model.chain}, tools {', '.join(sorted(self.tools))}>"

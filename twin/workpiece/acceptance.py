@@ -2,8 +2,9 @@
 ballbar.
 
 Each test takes the displacements of the tool at points of a line or a circle to one figure. The names follow the
-standards. Only the geometry is predicted: reversal, repeatability and the servo errors of a moving ballbar are not
-identified from balls that are touched at rest, so the mean deviation M of ISO 230-2 is given, and neither A nor R.
+standards. Only the geometry is predicted here: reversal, repeatability and the servo errors of a moving ballbar are not
+identified from balls that are touched at rest. Figures of ISO 230-2 that need them are in
+`twin.workpiece.positioning`, angles in `twin.workpiece.angles`.
 
 Points are in the coordinates of the machine, for the tip of the tool, in mm.
 """
@@ -113,6 +114,13 @@ def predict_tests(
     return tuple(found)
 
 
+def axis_line(ranges_mm: Ranges, centre_mm: Array, axis: int) -> tuple[Array, Array]:
+    """Return the axis positions (n, 3) in mm of the targets on the line along an axis through `centre_mm` (3,), and
+    their positions (n,) along it."""
+    low, high = np.array(ranges_mm).T
+    return _line(low, high, centre_mm, axis)
+
+
 def _at_the_tip(test: AcceptanceTest, tool_offset: Array) -> AcceptanceTest:
     feature = test.feature
     moved = Feature(
@@ -153,9 +161,8 @@ def _squareness(low: Array, high: Array, centre: Array) -> Iterator[AcceptanceTe
             ),
             axis=1,
         )
-        name = f"{AXES[second]} to {AXES[first]}"
         feature = Feature(
-            f"squareness {name}",
+            f"squareness {AXES[second]} to {AXES[first]}",
             FeatureKind.ACCEPTANCE_TEST,
             np.concatenate((points, others)),
             SLOPE_LENGTH_MM * slopes,
@@ -163,7 +170,8 @@ def _squareness(low: Array, high: Array, centre: Array) -> Iterator[AcceptanceTe
             False,
         )
         both = np.concatenate((along, along_others))
-        yield AcceptanceTest("ISO 230-1", f"squareness of {name}, over 1000 mm", feature, both, feature.matrix)
+        title = f"squareness of {AXES[second]} to {AXES[first]}, over 1000 mm"
+        yield AcceptanceTest("ISO 230-1", title, feature, both, feature.matrix)
 
 
 def _circles(low: Array, high: Array, centre: Array, radii_mm: Sequence[float]) -> Iterator[AcceptanceTest]:

@@ -1,9 +1,6 @@
 """Mechanical actions on a machine that make its volumetric error smaller, chosen from an estimate by their gain.
 
-Two kinds of actions move the tool point by a field that is known exactly up to a rigid motion of the whole workspace: a
-changed scale of an axis, and a guide that is turned, with all that it carries, on what carries it. Of two axes that are
-not square, the one farther from the bed is turned: the other one would take it along. The third axis is parallel to the
-axis of this turn and keeps its direction. Shims that bend a rail are not proposed: they also tilt what it carries.
+The actions and the fields by which they move the tool point are those of `twin.workpiece.action_fields`.
 
 The amounts are those that leave the smallest expected mean square of the error field after the best-fitting rigid
 motion is removed. Actions are added greedily, and all amounts are fitted anew with each of them.
@@ -12,20 +9,19 @@ motion is removed. Actions are added greedily, and all amounts are fitted anew w
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from enum import StrEnum
-from itertools import combinations
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtri
 
 from twin.arrays import Array
 from twin.errors import DataError
 from twin.identification.predicted import field_degrees, unresolved_variance
-from twin.machine.error_model import ErrorModel
 from twin.machine.grid_quadrature import GridQuadrature
-from twin.machine.kinematic_chain import AXES
+from twin.machine.mounting import Mounting
 from twin.machine.rigid_motion import rigid_fields
 from twin.machine.volumetric import evaluation_grid
+from twin.workpiece.action_fields import ActionKind, Candidate, MechanicalAction, candidates
 from twin.workpiece.machine_field import MachineField, MachineKnowledge
 
 MOST_ACTIONS = 5
@@ -34,36 +30,9 @@ _DRAWS = 1000
 _SEED = 17
 _LEVER_MM = 1000.0  # scale on which rotations and translations are compared
 _COVERAGE_FACTOR = 2.0
-
-
-class ActionKind(StrEnum):
-    """Kind of a mechanical action."""
-
-    SCALE = "scale"
-    SQUARENESS = "squareness"
-
-
-@dataclass(frozen=True)
-class MechanicalAction:
-    """Action on one joint of a machine.
-
-    A `SCALE` action lengthens the motion of `axis` by `amount`, as a ratio. A `SQUARENESS` action turns the guide of
-    `axis` by `amount`, in rad, so that the motion of the tool relative to the workpiece towards the positive direction
-    of `axis` turns towards that of `towards`. `expanded` is the expanded uncertainty (k = 2) of the amount, and
-    `travel_mm` the travel of `axis`.
-    """
-
-    kind: ActionKind
-    axis: str
-    towards: str
-    amount: float
-    expanded: float
-    travel_mm: float
-
-    @property
-    def over_travel_mm(self) -> float:
-        """Displacement in mm that the action makes over the travel of its axis."""
-        return self.amount * self.travel_mm
+_DOUBTED = 0.0455
+"""Probability with which the error of an amount exceeds its expanded uncertainty (k = 2), if it is one number."""
+_DEGREE_OF_RAILS = 12  # the shape of a shimmed rail is no polynomial; its sums over the grid err by less than 1e-3
 
 
 @dataclass(frozen=True)
@@ -92,54 +61,37 @@ class ActionPlan:
     states: tuple[VolumetricState, ...]
 
 
-def plan_actions(estimate: MachineKnowledge, tool_offset: Array, most: int = MOST_ACTIONS) -> ActionPlan:
+def plan_actions(
+    estimate: MachineKnowledge, tool_offset: Array, most: int = MOST_ACTIONS, mounting: Mounting | None = None
+) -> ActionPlan:
     """Return at most `most` actions on the machine of `estimate`, for a tool with the offset `tool_offset` (3,) in mm.
 
-    An action is proposed only if its amount is larger than its expanded uncertainty. Raises DataError if `most` is not
-    at least 1.
+    `mounting` contains the guides and the feet of the machine, as far as they are known; only known guides are
+    straightened. An action is proposed only if its amount is larger than its expanded uncertainty; an action with
+    several amounts, only if one of them is, and if all of them together would be as improbable on a machine that does
+    not need it. Raises DataError if `most` is not at least 1.
     """
     if most < 1:
         raise DataError(f"at least one action must be allowed, not {most}")
-    candidates = _candidates(estimate.model)
-    forms = _ErrorForms.of(estimate, tool_offset, candidates)
+    mounting = mounting or Mounting()
+    possible = candidates(estimate.model, mounting)
+    forms = _ErrorForms.of(estimate, tool_offset, possible)
     chosen: list[int] = []
     states = [forms.state([])]
     while len(chosen) < most:
-        left = [number for number in range(len(candidates)) if number not in chosen]
+        left = [number for number in range(len(possible)) if number not in chosen]
         certain = [number for number in left if forms.are_certain([*chosen, number])]
         if not certain:
             break
         chosen.append(min(certain, key=lambda number: forms.remaining([*chosen, number])))
         states.append(forms.state(chosen))
     amounts, expanded = forms.amounts(chosen)
-    return ActionPlan(
-        tuple(
-            replace(candidates[number], amount=float(amount), expanded=float(bound))
-            for number, amount, bound in zip(chosen, amounts, expanded, strict=True)
-        ),
-        tuple(states),
-    )
-
-
-def action_field(action: MechanicalAction, axis_positions: Array) -> Array:
-    """Return the displacements (n, 3) in mm of the tool point that `action` makes at axis positions (n, 3), up to a
-    rigid motion of the whole workspace."""
-    axis, towards = AXES.index(action.axis), AXES.index(action.towards)
-    found = np.zeros_like(axis_positions)
-    found[:, towards] = action.amount * axis_positions[:, axis]
-    return found
-
-
-def _candidates(model: ErrorModel) -> list[MechanicalAction]:
-    """Return all actions with the amount 1. Of two square axes, the one farther from the bed is turned; of axes on
-    different sides of the bed, the one that moves the tool."""
-    low, high = np.array(model.ranges_mm).T
-    travel_mm = dict(zip(AXES, (high - low).tolist(), strict=True))
-    from_bed = [*model.chain.workpiece_side, *reversed(model.chain.tool_side)]
-    found = [MechanicalAction(ActionKind.SCALE, name, name, 1.0, 0.0, travel_mm[name]) for name in AXES]
-    for towards, turned in combinations(from_bed, 2):
-        found.append(MechanicalAction(ActionKind.SQUARENESS, turned, towards, 1.0, 0.0, travel_mm[turned]))
-    return found
+    actions, start = [], 0
+    for number in chosen:
+        own = slice(start, start + possible[number].size)
+        actions.append(possible[number].action(amounts[own], expanded[own], mounting))
+        start = own.stop
+    return ActionPlan(tuple(actions), tuple(states))
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,20 +100,29 @@ class _ErrorForms:
 
     The field is the sum of the expected field, of what a draw of the P parameters and misfit coefficients differs from
     their expected values (`drawn`, shape (P, draws)), and of the actions. `form` (P + 1 + K, P + 1 + K) contains the
-    mean products of the P columns, the expected field and the K fields of the actions with the amount 1. `beside_mm2`
-    is the mean square of the misfit that no mode shows.
+    mean products of the P columns, the expected field and the K fields of all amounts of the actions, each with the
+    amount 1. `sizes` are the numbers of amounts of the actions. `beside_mm2` is the mean square of the misfit that no
+    mode shows.
     """
 
     form: Array
     drawn: Array
+    sizes: tuple[int, ...]
     beside_mm2: float
 
     @classmethod
-    def of(cls, estimate: MachineKnowledge, tool_offset: Array, actions: Sequence[MechanicalAction]) -> _ErrorForms:
-        sums = GridQuadrature.for_points(evaluation_grid(estimate.model.ranges_mm), field_degrees(estimate))
+    def of(cls, estimate: MachineKnowledge, tool_offset: Array, actions: Sequence[Candidate]) -> _ErrorForms:
+        degrees = field_degrees(estimate)
+        if any(one.kind is ActionKind.STRAIGHTNESS for one in actions):
+            degrees = (
+                max(degrees[0], _DEGREE_OF_RAILS),
+                max(degrees[1], _DEGREE_OF_RAILS),
+                max(degrees[2], _DEGREE_OF_RAILS),
+            )
+        sums = GridQuadrature.for_points(evaluation_grid(estimate.model.ranges_mm), degrees)
         nodes = sums.nodes
         field = MachineField.at(estimate, nodes, tool_offset)
-        fields = [field.expected, *(action_field(one, nodes).reshape(-1) for one in actions)]
+        fields = [field.expected, *(one.columns(nodes, tool_offset).reshape(nodes.size, -1) for one in actions)]
         roots = np.sqrt(sums.weights / sums.count).repeat(3)[:, None]
         motions = np.linalg.qr(roots * rigid_fields(nodes, nodes.mean(axis=0), _LEVER_MM).reshape(nodes.size, 6))[0]
         columns = roots * np.column_stack((field.columns, *fields))
@@ -170,18 +131,28 @@ class _ErrorForms:
         half = np.random.default_rng(_SEED).standard_normal((len(values), _DRAWS // 2))
         drawn = (vectors * np.sqrt(np.maximum(values, 0.0))) @ np.concatenate((half, -half), axis=1)
         beside_mm2 = 3.0 * unresolved_variance(estimate)
-        return cls(np.asarray(columns.T @ columns - shared.T @ shared), np.asarray(drawn), beside_mm2)
+        form, sizes = np.asarray(columns.T @ columns - shared.T @ shared), tuple(one.size for one in actions)
+        return cls(form, np.asarray(drawn), sizes, beside_mm2)
 
     def amounts(self, chosen: Sequence[int]) -> tuple[Array, Array]:
         """Return the amounts (k,) of the `chosen` actions that leave the smallest expected mean square, and their
         expanded uncertainties (k,)."""
-        fit, size = self._fit(chosen), len(self.drawn)
-        return -fit[:, size], np.asarray(_COVERAGE_FACTOR * (fit[:, :size] @ self.drawn).std(axis=1))
+        found, deviations = self._fitted(chosen)
+        return found, np.asarray(_COVERAGE_FACTOR * deviations.std(axis=1))
 
     def are_certain(self, chosen: Sequence[int]) -> bool:
-        """Return True if all amounts exceed their expanded uncertainties."""
-        amounts, expanded = self.amounts(chosen)
-        return bool((np.abs(amounts) > expanded).all())
+        """Return True if, of each action, the amounts together and one of them alone exceed their uncertainty."""
+        found, deviations = self._fitted(chosen)
+        start = 0
+        for number in chosen:
+            own = slice(start, start + self.sizes[number])
+            start = own.stop
+            covariance = deviations[own] @ deviations[own].T / deviations.shape[1]
+            square = float(found[own] @ np.linalg.pinv(covariance, hermitian=True) @ found[own])
+            larger = np.abs(found[own]) > _COVERAGE_FACTOR * np.sqrt(np.diagonal(covariance))
+            if not larger.any() or square <= float(chdtri(float(self.sizes[number]), _DOUBTED)):
+                return False
+        return True
 
     def remaining(self, chosen: Sequence[int]) -> float:
         """Return the mean square in mm² of the expected field that the best amounts leave."""
@@ -199,10 +170,17 @@ class _ErrorForms:
         found = (squares.mean() + self.beside_mm2, low, high + self.beside_mm2)
         return VolumetricState(*(float(np.sqrt(one)) for one in found))
 
+    def _fitted(self, chosen: Sequence[int]) -> tuple[Array, Array]:
+        """Return the best amounts (k,) of the chosen actions, and their deviations (k, draws) in the draws."""
+        fit, size = self._fit(chosen), len(self.drawn)
+        return -fit[:, size], np.asarray(fit[:, :size] @ self.drawn)
+
     def _fit(self, chosen: Sequence[int]) -> Array:
         """Return the amounts (k, P + 1 + K) of the chosen fields of which each field contains most."""
         rows = self._rows(chosen)
         return np.asarray(np.linalg.solve(self.form[np.ix_(rows, rows)], self.form[rows]))
 
     def _rows(self, chosen: Sequence[int]) -> list[int]:
-        return [len(self.drawn) + 1 + number for number in chosen]
+        starts = np.concatenate(([0], np.cumsum(self.sizes)))
+        first = len(self.drawn) + 1
+        return [first + row for number in chosen for row in range(int(starts[number]), int(starts[number + 1]))]

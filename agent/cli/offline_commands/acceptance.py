@@ -68,8 +68,8 @@ def acceptance_command(
 ) -> None:
     """Predict what a laser and a ballbar will show: the figures of ISO 230, each with its uncertainty.
 
-    Positioning (ISO 230-2), straightness and squareness (ISO 230-1), circles (ISO 230-4) and body diagonals
-    (ISO 230-6), of the geometry alone: without reversal, repeatability and servo errors.
+    Positioning (ISO 230-2), straightness, squareness and angles (ISO 230-1), circles (ISO 230-4) and body diagonals
+    (ISO 230-6). A, E, R and B of ISO 230-2 need the folder of a run that measured lost motion and repeatability.
     """
     if table is not None and no_table:
         raise click.UsageError("--table and --no-table exclude each other")
@@ -77,7 +77,7 @@ def acceptance_command(
     if draw is not None:
         from agent.workpiece.acceptance_figure import draw_tests  # noqa: PLC0415  matplotlib takes a second to import
 
-        drawn = draw_tests(found.tests, found.heading)
+        drawn = draw_tests((*found.tests, *found.angles), found.heading)
         write_all_atomically(draw, {f"{NAME}.png": drawn.png, f"{NAME}.svg": drawn.svg})
     if as_json:
         click.echo(json.dumps(found.as_json(), allow_nan=False))
@@ -92,13 +92,17 @@ def _show(found: PredictedTests, console: Console) -> None:
     for state in states:
         headings += [f"{state} / µm", UNCERTAINTY_HEADING]
     shown = columns_table(headings, whole=("standard", "figure"), numbers=headings[3:])
-    for one in found.tests:
+    for one in found.all_tests:
         cells = [one.test.standard, one.test.feature.name, one.test.title]
         for error in (one.figure.without_table, one.figure.with_table):
             if error is not None:
                 cells += error_cells(one.test.feature, error)
         shown.add_row(*cells)
     console.print(shown)
+    for note in found.not_measured:
+        console.print(note, markup=False)
     console.print(
-        "Geometry alone: without reversal, repeatability and the servo errors of a moving ballbar.", markup=False
+        "A, E, R and B contain what the run measured of lost motion and repeatability at one place. All other figures "
+        "are those of the geometry alone: without reversal, repeatability and the servo errors of a moving ballbar.",
+        markup=False,
     )

@@ -19,13 +19,15 @@ if will_run():
     from agent.cli.printing import columns_table, results_console
     from agent.workpiece.proposed_actions import (
         AT_THIS_TEMPERATURE,
-        UM_PER_M,
+        GUIDES_UNKNOWN,
         ProposedActions,
         action_text,
+        amount_texts,
         propose_actions,
     )
     from twin.units import UM_PER_MM
-    from twin.workpiece.mechanical_actions import ActionKind, VolumetricState
+    from twin.workpiece.action_fields import ActionKind
+    from twin.workpiece.mechanical_actions import VolumetricState
 
 
 @click.command("actions")
@@ -37,14 +39,19 @@ if will_run():
     metavar="X,Y,Z",
     help="Offset in mm of the tool point [default: that of the measurement].",
 )
+@click.option(
+    "--machine", type=PATH, metavar="FILE", help="Machine file with the guides and the feet, for shims and levelling."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout instead of a table.")
 @reported
-def actions_command(estimate: Path, most: int, tool_offset: tuple[float, float, float] | None, as_json: bool) -> None:
+def actions_command(
+    estimate: Path, most: int, tool_offset: tuple[float, float, float] | None, machine: Path | None, as_json: bool
+) -> None:
     """Propose at most five mechanical actions on a machine, each with its amount and its gain.
 
     ESTIMATE is estimate.json, or the folder of a run or of `volcal identify`.
     """
-    found = propose_actions(estimate, most, tool_offset)
+    found = propose_actions(estimate, most, tool_offset, machine)
     if as_json:
         click.echo(json.dumps(found.as_json(), allow_nan=False))
     else:
@@ -52,18 +59,19 @@ def actions_command(estimate: Path, most: int, tool_offset: tuple[float, float, 
 
 
 def _show(found: ProposedActions) -> None:
-    headings = ("action", "amount / (µm/m)", "U (k = 2)", "VE after / µm", "limits (95 %)")
+    headings = ("action", "amount", "U (k = 2)", "VE after / µm", "limits (95 %)")
     shown = columns_table(headings, numbers=headings[1:])
     before, *after = found.plan.states
     shown.add_row("none", "", "", *_cells(before))
     for action, state in zip(found.plan.actions, after, strict=True):
-        amount, expanded = UM_PER_M * action.amount, UM_PER_M * action.expanded
-        shown.add_row(action_text(action), f"{amount:+.1f}", f"± {expanded:.1f}", *_cells(state))
+        shown.add_row(action_text(action), *amount_texts(action), *_cells(state))
     console = results_console()
     console.print(f"What to turn at the machine of {found.estimate}, in the order of the gain", markup=False)
     console.print(shown)
     if any(action.kind is ActionKind.SCALE for action in found.plan.actions):
         console.print(AT_THIS_TEMPERATURE)
+    if not found.knows_guides:
+        console.print(GUIDES_UNKNOWN, markup=False)
     if not found.plan.actions:
         console.print("No action is larger than its uncertainty.")
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-import numpy as np
 from lxml import etree
 
 from agent.reports.digital_certificate.administration import NAMESPACE, add_equipment
@@ -16,12 +15,12 @@ from agent.reports.page.error_table import ErrorRow, error_rows
 from agent.reports.page.number_format import COVERAGE, fixed
 from agent.reports.page.texts import Texts
 from agent.results.facts import Quantity
-from agent.workpiece.predicted_tests import predicted_tests
 from twin.compensation.table import CompensationTable
 from twin.machine.error_model import SQUARENESS
 from twin.units import UM_PER_MM
 from twin.workpiece.acceptance import PredictedTest
 from twin.workpiece.conformity import Conformity, decide_by_limits
+from twin.workpiece.features import Measure
 from twin.workpiece.prediction import FeatureError
 
 _STATED = {Conformity.CONFORMS: "pass", Conformity.DOES_NOT_CONFORM: "fail"}
@@ -42,7 +41,7 @@ def add_results(
     listed = add(measured, "results")
     _add_volumetric(listed, data, found, t)
     _add_geometric(listed, data, found, t)
-    _add_acceptance(listed, data, found, table, t)
+    _add_acceptance(listed, data, table, t)
 
 
 def _add_methods(measured: etree._Element, data: ReportData, t: Texts) -> None:
@@ -156,24 +155,18 @@ def _add_error(whole: etree._Element, row: ErrorRow, tolerance: float | None) ->
         _add_conformity(one, row.conformity(tolerance), tolerance, row.unit)
 
 
-def _add_acceptance(
-    listed: etree._Element, data: ReportData, found: IdentificationData, table: CompensationTable | None, t: Texts
-) -> None:
-    """Add the predicted figures of acceptance tests, without the table and with it."""
-    tests = predicted_tests(found.estimate, np.asarray(data.tool_offset), table)
+def _add_acceptance(listed: etree._Element, data: ReportData, table: CompensationTable | None, t: Texts) -> None:
+    """Add the predicted figures of acceptance tests that the report contains, without the table and with it."""
+    if data.acceptance is None:
+        return
     states = {"without_table": "Predicted figures of ISO 230, without compensation table"}
     if table is not None:
         states["with_table"] = "Predicted figures of ISO 230, with compensation table"
     for state, title in states.items():
-        values = _add_result(
-            listed,
-            title,
-            t["not_an_acceptance_test"],
-            "Geometry alone: without reversal, repeatability and the servo errors of a moving ballbar.",
-        )
+        values = _add_result(listed, title, t["not_an_acceptance_test"], t["acceptance_note"])
         whole = add(values, "list")
         add_words(whole, "name", title)
-        _add_figures(whole, tests, state)
+        _add_figures(whole, data.acceptance.all_tests, state)
 
 
 def _add_figures(whole: etree._Element, tests: Sequence[PredictedTest], state: str) -> None:
@@ -184,4 +177,9 @@ def _add_figures(whole: etree._Element, tests: Sequence[PredictedTest], state: s
         kind = re.sub(r"[^A-Za-z0-9+-]+", "_", f"{one.test.standard}_{one.test.feature.name}")
         quantity = add(whole, "quantity", refType=f"{NAMESPACE}_acceptanceFigure {NAMESPACE}_{kind}")
         add_words(quantity, "name", f"{one.test.standard}; {one.test.title}")
-        add_real(quantity, UM_PER_MM * error.expected_mm, "µm", UM_PER_MM * error.expanded_mm)
+        value, low, high, expanded = (
+            UM_PER_MM * part for part in (error.expected_mm, error.low_mm, error.high_mm, error.expanded_mm)
+        )
+        # as in the report: a range, which cannot be negative, has 95 % limits
+        ranged = one.test.feature.measure is not Measure.SIGNED
+        add_real(quantity, value, "µm", expanded, Quantity(value, expanded / COVERAGE, (low, high)) if ranged else None)

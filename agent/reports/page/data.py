@@ -19,6 +19,7 @@ from agent.results.run_verdict import RunVerdict
 from agent.results.travel_parts import TravelParts
 from agent.settings.report import ReportSettings
 from agent.thermal.thermometer import ThermometerFacts
+from agent.workpiece.predicted_tests import PredictedTests
 from twin.arrays import Array
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import SET_EXPRESSIONS, Position, set_orientations
@@ -243,7 +244,8 @@ class IdentificationData:
     artefact's thermometer on the result, and `travel` the volumetric error inside and outside the measured region. Both
     are None if they are not known. `numbers` contains the number of each position in the
     file of the ball centres; it is empty if they were not read from a file. `family_prior` is False if the prior of the
-    estimate was not the family of the machine, for example because an earlier estimate was carried over.
+    estimate was not the family of the machine, for example because an earlier estimate was carried over. `acceptance`
+    contains the predicted figures of acceptance tests; it is None if they were not predicted.
     """
 
     observations: Observations
@@ -256,6 +258,7 @@ class IdentificationData:
     travel: TravelParts | None = None
     numbers: tuple[int, ...] = ()
     family_prior: bool = True
+    acceptance: PredictedTests | None = None
 
     @classmethod
     def of(

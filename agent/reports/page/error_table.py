@@ -1,5 +1,5 @@
-"""Table of the 21 geometric errors: range over the travel, expanded uncertainty, tolerance and what may be stated about
-conformity."""
+"""Tables of the 21 geometric errors (range over the travel, expanded uncertainty, tolerance and what may be stated
+about conformity) and of the predicted figures of acceptance tests."""
 
 from __future__ import annotations
 
@@ -14,10 +14,13 @@ from agent.reports.page.error_curves import SAMPLES, geometric_error_curves
 from agent.reports.page.number_format import COVERAGE, Table, fixed
 from agent.reports.page.texts import Texts
 from agent.results.facts import Quantity
+from agent.workpiece.predicted_tests import PredictedTests
 from twin.machine.error_model import ERROR_MOTIONS, SQUARENESS, error_motion_kind
 from twin.machine.kinematic_chain import AXES
 from twin.units import MICRO_UNITS, UM_PER_MM
 from twin.workpiece.conformity import Conformity, decide_by_limits
+from twin.workpiece.features import Measure
+from twin.workpiece.prediction import FeatureError
 
 _ROLLS = ("EAX", "EBY", "ECZ")
 _SQUARENESS_OF = {"C0Y": "squareness of Y to X", "B0Z": "squareness of Z to X", "A0Z": "squareness of Z to Y"}
@@ -146,3 +149,26 @@ def _limits(quantity: Quantity) -> tuple[float, float]:
         return quantity.limits_um
     doubt = COVERAGE * (quantity.standard_uncertainty_um or 0.0)
     return quantity.value_um - doubt, quantity.value_um + doubt
+
+
+def acceptance_table(predicted: PredictedTests, t: Texts) -> Table:
+    """Return one row for each figure, in µm, with U (k = 2) or the 95 % limits of a range. The columns of a machine
+    with its table are left out if no table was predicted."""
+    states = ["without"] if predicted.table is None else ["without", "with"]
+    columns = [t[f"{name}_{state}"] for state in states for name in ("value", "limits")]
+    heads = (t["figure"], t["meaning"], t["standard"], *columns)
+    rows = []
+    for one in predicted.all_tests:
+        errors = (one.figure.without_table, one.figure.with_table)[: len(states)]
+        cells = [
+            cell for error in errors if error is not None for cell in _figure_cells(one.test.feature.measure, error)
+        ]
+        rows.append((one.test.feature.name, one.test.title, one.test.standard, *cells))
+    return Table(heads, tuple(rows), heads[3:], code=(t["standard"],))
+
+
+def _figure_cells(measure: Measure, error: FeatureError) -> tuple[str, str]:
+    value, low, high, doubt = (
+        fixed(UM_PER_MM * one, 1) for one in (error.expected_mm, error.low_mm, error.high_mm, error.expanded_mm)
+    )
+    return value, f"± {doubt}" if measure is Measure.SIGNED else f"{low} … {high}"

@@ -9,9 +9,10 @@ import numpy as np
 
 from agent.language.sentences import as_it_is
 from agent.reports.page.data import IdentificationData, ReportData
-from agent.reports.page.number_format import COVERAGE, Rows, fixed, micrometres, number, plural, point
+from agent.reports.page.number_format import Rows, fixed, micrometres, number, plural, point
 from agent.reports.page.texts import Texts
 from agent.results.facts import Quantity, unchecked_text
+from agent.results.gates import certificate_score
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import CHECKABLE_BALLS
 from twin.identification import BallCheck
@@ -113,7 +114,7 @@ def _certificate_check(checks: Sequence[BallCheck]) -> Rows:
     if certified:
         # |E_n| of ISO 13528: difference over its expanded uncertainty
         worst = ", ".join(
-            f"ball {check.ball}: {fixed(check.contradiction / COVERAGE, 1)} along {check.direction}"
+            f"ball {check.ball}: {fixed(certificate_score(check), 1)} along {check.direction}"
             for check in certified[:3]
         )
         rows.append(("Largest contradictions to the certificate", f"{worst} (|E_n|, k = 2, artefact frame)"))

@@ -82,7 +82,7 @@ def page_values(data: ReportData, t: Texts) -> dict[str, Any]:
 
 def _identification(data: ReportData, identification: IdentificationData, t: Texts) -> dict[str, Any]:
     """Return the values of the sections that need an estimate."""
-    proof = data.run.verification
+    proof, predicted = data.run.verification, identification.acceptance
     return {
         "summary": identification_sections.summary_table(data, identification, t),
         "travel": identification_sections.travel_table(identification, t),
@@ -92,6 +92,8 @@ def _identification(data: ReportData, identification: IdentificationData, t: Tex
         "errors": error_table.error_tables(identification, data.document.tolerances, t),
         "limited": bool(data.document.tolerances),
         "budget": budget_table(identification, np.asarray(data.tool_offset), t),
+        "acceptance": None if predicted is None else error_table.acceptance_table(predicted, t),
+        "not_measured": () if predicted is None else predicted.not_measured,
         "validity": validity(data, identification),
         "residual_note": identification_sections.residual_note(identification),
         "rejected": identification_sections.rejected(identification),

@@ -73,6 +73,13 @@ ENGLISH: Texts = {
     "instruments": "Instruments",
     "map_pair": "Error map, without and with the table",
     "budget": "Budget of uncertainty",
+    "acceptance": "Predicted figures of acceptance tests",
+    "figure": "figure",
+    "standard": "standard",
+    "value_without": "without table / µm",
+    "limits_without": "U or limits, without",
+    "value_with": "with table / µm",
+    "limits_with": "U or limits, with",
     "run": "The run",
     "summary": "Before and after",
     "validity": "Validity of the result",
@@ -110,6 +117,12 @@ ENGLISH: Texts = {
     "tile_ve_now": "VCE with table, expected now, aligned",
     "tile_ve_before": "VCE after the last accepted night",
     # captions and notes
+    "acceptance_note": (
+        "What a laser, a level and a ballbar will show at the middle of the travel, predicted from the estimate. "
+        "Squarenesses and angles are in µm over 1000 mm, which is µrad; a table does not change angles. Ranges cannot "
+        "be negative and have 95 % limits instead of U (k = 2). A, E, R and B contain the lost motion and the "
+        "repeatability that this run measured at one place; all other figures are those of the geometry alone."
+    ),
     "joined_note": (
         "Each instrument is tested against the ball centres and the other instruments. The probability is that of such "
         "a χ² or such a largest difference, at most, if all are right. The largest difference is that of one reading, "

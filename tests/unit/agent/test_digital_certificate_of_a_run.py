@@ -26,11 +26,14 @@ from agent.reports.page import ReportData, VerificationFacts
 from agent.reports.page.error_table import error_rows
 from agent.results.facts import Quantity
 from agent.settings.report import ReportSettings
+from agent.workpiece.measured_repeats import MeasuredRepeats
+from agent.workpiece.predicted_tests import PlaceOfTests, predicted_tests
 from drivers.errors import ConfigurationError, InputError
 from twin.compensation.table import build_table, regular_nodes
 from twin.errors import FormatError
 from twin.formats.toml_reading import validate_document
 from twin.machine.anchor import Anchor
+from twin.workpiece.features import Measure
 
 DAY = datetime.date(2026, 3, 2)
 STATED: dict[str, Any] = {
@@ -54,7 +57,11 @@ def settings(**changes: Any) -> ReportSettings:
 
 @pytest.fixture(scope="module")
 def data() -> ReportData:
-    return replace(report_data(), document=settings())
+    plain = replace(report_data(), document=settings())
+    offset = np.array(plain.tool_offset)
+    measured = MeasuredRepeats({}, ())
+    acceptance = predicted_tests(estimate_of(plain), table_for(plain), "a table", PlaceOfTests(offset), measured)
+    return replace(plain, acceptance=acceptance)
 
 
 @pytest.fixture(scope="module")
@@ -177,7 +184,18 @@ def test_the_figures_are_those_of_the_report(root: etree._Element, data: ReportD
     figures = [
         one for one in root.iter(f"{{{PATHS['dcc']}}}quantity") if "volcal_acceptanceFigure" in one.get("refType", "")
     ]
-    assert len(figures) == 2 * 19
+    assert data.acceptance is not None
+    tests = data.acceptance.all_tests
+    errors = [one.figure.without_table for one in tests] + [one.figure.with_table for one in tests]
+    assert len(figures) == len(errors)
+    for one, error, measure in zip(figures, errors, [one.test.feature.measure for one in tests] * 2, strict=True):
+        assert error is not None
+        assert float(texts(one, "si:real/si:value")[0]) == pytest.approx(1e3 * error.expected_mm, abs=1e-4)
+        if measure is Measure.SIGNED:
+            assert float(texts(one, ".//si:valueExpandedMU")[0]) == pytest.approx(1e3 * error.expanded_mm, abs=1e-4)
+        else:
+            limits = [float(texts(one, f".//si:interval{end}")[0]) for end in ("Min", "Max")]
+            assert limits == pytest.approx([1e3 * error.low_mm, 1e3 * error.high_mm], abs=1e-4)
     temperatures = [texts(quantity(root, f"basic_temperature{end}"), "si:real/si:value") for end in ("Min", "Max")]
     assert temperatures == [["20.5000"]] * 2
 

@@ -86,7 +86,7 @@ def test_a_run_that_will_be_refused_is_named_by_its_keys(small: Path) -> None:
         "probe_check.limit_um": "2.0",
         "gates.max_chi2": "0.9",
         "gates.min_degrees_of_freedom": "500",
-        "gates.max_certificate_sigma": "1.0",
+        "gates.max_certificate_en": "0.5",
         "gates.max_change": "0.5",
         "gates.night_false_alarm": "0.9",
         "gates.max_correction_um": "5.0",

@@ -88,3 +88,18 @@ def test_a_table_with_a_value_that_is_not_a_number_is_refused() -> None:
     corrections[0, 0, 0, 0] = math.nan
     with pytest.raises(DataError, match="finite"):
         table(corrections)
+
+
+@pytest.mark.parametrize(
+    ("stated", "limit"), [({}, 2.5), ({"max_certificate_en": 3.0}, 3.0), ({"max_certificate_sigma": 4}, 2.0)]
+)
+def test_the_limit_of_the_certificate_is_read_in_its_earlier_form(stated: dict[str, float], limit: float) -> None:
+    assert GateSettings(**stated).max_certificate_en == limit
+
+
+@pytest.mark.parametrize(
+    "stated", [{"max_certificate_sigma": "many"}, {"max_certificate_sigma": 4.0, "max_certificate_en": 2.0}]
+)
+def test_an_earlier_limit_that_cannot_be_meant_is_refused(stated: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match="max_certificate_sigma"):
+        GateSettings.model_validate(stated)

@@ -25,6 +25,9 @@ from twin.workpiece.agreement import agrees, en_score
 SCENARIO = Path(__file__).parents[3] / "config" / "simulators" / "case-study.toml"
 FIGURES = 19
 """Three positionings, six straightnesses, three squarenesses, three circles and four diagonals."""
+REPEATED = 12
+"""A, E, R and B of each axis, on machines whose lost motion and repeatability were measured."""
+ALL = FIGURES + REPEATED
 
 
 def test_the_score_of_iso_13528() -> None:
@@ -95,15 +98,21 @@ def compared() -> InstrumentComparison:
 
 
 def test_a_machine_agrees_with_its_own_estimate(compared: InstrumentComparison) -> None:
-    assert len(compared.figures) == 2 * FIGURES
-    assert compared.agreeing >= 2 * FIGURES - 3
+    assert len(compared.figures) == 2 * ALL
+    assert compared.agreeing >= 2 * ALL - 5
     assert not compared.contradicts
     document = compared.as_json()
     assert document["agreeing"] == compared.agreeing
-    assert [figure["with_table"] for figure in document["figures"]] == [False] * FIGURES + [True] * FIGURES
+    assert [figure["with_table"] for figure in document["figures"]] == [
+        *[False] * FIGURES,
+        *[True] * FIGURES,
+        *[False] * REPEATED,
+        *[True] * REPEATED,
+    ]
     # the errors are large against what the instruments cannot tell, and the table makes them smaller
     plain, corrected = (
-        [one["measured_um"] for one in document["figures"] if one["with_table"] is active] for active in (False, True)
+        [one["measured_um"] for one in document["figures"] if one["with_table"] is active][:FIGURES]
+        for active in (False, True)
     )
     assert np.mean(np.abs(corrected)) < 0.7 * np.mean(np.abs(plain))
 

@@ -137,7 +137,13 @@ def test_acceptance_tests_are_stated_and_drawn(folder: Path, tmp_path: Path) -> 
     drawn = tmp_path / "drawn"
     done = accept("--estimate", folder, "--radius", 100, "--radius", 300, "--json", "--draw", drawn)
     assert done.exit_code == 0
-    tests = json.loads(done.stdout)["tests"]
+    document = json.loads(done.stdout)
+    tests = document["tests"]
+    assert document["not_measured"] == ["not measured: A, A±, E, R, R±, B: the estimate is not in the folder of a run"]
+    angles = [one for one in tests if one["figure"][1] in "ABC" and one["figure"][0] == "E"]
+    assert len(angles) == 9
+    assert all(one["with_table"] == one["without_table"] for one in angles)
+    tests = [one for one in tests if one not in angles]
     assert [one["standard"] for one in tests].count("ISO 230-4") == 6
     spans = dict.fromkeys(("curve_um", "curve_with_table_um"), 0.0)
     for one in tests:
