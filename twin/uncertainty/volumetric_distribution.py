@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,6 +25,11 @@ from twin.uncertainty.quadratic_distribution import QuadraticDistribution, root_
 from twin.uncertainty.scale_mixture import MixtureComponent, mixture_components
 
 _LEAST_SPREAD = 1e-9  # relative standard deviation below which rounding decides
+_LEAST_PROBABILITY = 1e-300  # smaller ones have no quantile
+_ROUNDING = 1e-16
+_TOLERANCE = 1e-12  # of ln Q
+_BEYOND = 1.1  # step of the search for a quantile beyond where a log-normal distribution has it
+_SHORTEST = 1e-3  # step in standard deviations that is taken in any case
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,18 +61,29 @@ class QuadraticMixture:
         """
         if not 0.0 < probability < 1.0:
             raise DataError(f"the probability must lie between 0 and 1, not {probability}")
-        # The search begins at the quantile of the log-normal distribution with the same mean and variance.
-        # A log-normal variable with mean m and variance V has the logarithmic deviation √ln(1 + V/m²) and the median m
-        # exp(-½ spread²).
+        # With ln Q as argument, and with the quantile of the standard normal distribution at the probability as value,
+        # the distribution is nearly a straight line, exactly one for a log-normal variable: with mean m and variance V
+        # it has the logarithmic deviation √ln(1 + V/m²) and the median m exp(-½ spread²). The search begins at its
+        # quantile and follows its line, so that few evaluations are needed; each costs an integral for each part.
         spread = math.sqrt(math.log1p(max(self.variance / self.mean**2, _LEAST_SPREAD**2)))
-        lower = upper = self.mean * math.exp(spread * (float(ndtri(probability)) - 0.5 * spread))
-        widening = math.exp(0.2 * spread)
-        # The steps grow, so that a start far from the quantile is corrected in few evaluations; each costs an integral.
-        while self.at_most(lower) >= probability:
-            lower, widening = lower / widening, widening**1.5
-        while self.at_most(upper) <= probability:
-            upper, widening = upper * widening, widening**1.5
-        return root_between(lambda value: self.at_most(value) - probability, lower, upper, 1e-12 * upper)
+        wanted = float(ndtri(probability))
+
+        @cache
+        def missed_by(logarithm: float) -> float:
+            reached = min(max(self.at_most(math.exp(logarithm)), _LEAST_PROBABILITY), 1.0 - _ROUNDING)
+            return float(ndtri(reached)) - wanted
+
+        start = math.log(self.mean) + spread * (wanted - 0.5 * spread)
+        missed = missed_by(start)
+        if missed == 0.0:
+            return math.exp(start)
+        # Some more than the line says, so that the quantile lies between; the steps grow until it does.
+        step = -spread * (_BEYOND * missed + math.copysign(_SHORTEST, missed))
+        end = start + step
+        while missed_by(end) * missed > 0.0:
+            start, step = end, 2.0 * step
+            end = start + step
+        return math.exp(root_between(missed_by, min(start, end), max(start, end), _TOLERANCE))
 
 
 @dataclass(frozen=True, eq=False)
