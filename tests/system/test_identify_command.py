@@ -123,12 +123,15 @@ class TestGoodInput:
         rows = measured_rows(hidden_machine(rng), parse_position_set("S3", 4), rng)
         rows[100]["y_mm"] = f"{float(rows[100]['y_mm']) + 0.05:.6f}"
         (tmp_path / "balls.csv").write_text(as_csv(rows))
-        done = run(*arguments(tmp_path / "balls.csv", tmp_path / "out"), "--json")
+        done = run(*arguments(tmp_path / "balls.csv", tmp_path / "out"), "--no-report", "--json")
         assert [int(rows[100]["position"]), int(rows[100]["ball"]), 0] in json.loads(done.stdout)["rejected"]
 
     def test_without_the_family_it_still_ends_well(self, measured: tuple, tmp_path: Path) -> None:
-        done = run(*arguments(measured[0], tmp_path / "out"), "--prior", "off", "--even-so", "--json")
+        options = ("--prior", "off", "--even-so", "--no-report", "--json")
+        done = run(*arguments(measured[0], tmp_path / "out"), *options)
         assert done.returncode == 0, done.stderr
+        assert json.loads(done.stdout)["report"] is None
+        assert not (tmp_path / "out" / "report.html").exists()
         assert np.isfinite(json.loads(done.stdout)["predicted_vce_um"])
 
 
