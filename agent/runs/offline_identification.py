@@ -193,10 +193,10 @@ def identify_files(request: IdentificationRequest, timestamp: str) -> Identifica
     """Identify the machine's errors from files, and write the results into the folder `request.out`.
 
     The files written are estimate.json, report.html if `request.with_report` is True, and table.csv and table.json if
-    every gate passed or `request.even_so` is True. If the artefact was calibrated, its artefact file and covariance are written as well. Files of these
-    that an earlier identification wrote and this one does not are deleted, because they do not belong to the new
-    estimate. `timestamp` is the UTC time of the results in ISO 8601. Raises UserError if the input is
-    wrong; in this case, no file is written.
+    every gate passed or `request.even_so` is True. If the artefact was calibrated, its artefact file and covariance are
+    written as well. Files of these that an earlier identification wrote and this one does not are deleted, because they
+    do not belong to the new estimate. `timestamp` is the UTC time of the results in ISO 8601. Raises UserError if the
+    input is wrong; in this case, no file is written.
     """
     check_folder(request.out)
     material = read_material(request)

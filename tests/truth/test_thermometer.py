@@ -22,7 +22,7 @@ from twin.formats.estimate_file import parse_estimate
 from twin.identification import Options, predicted_vce
 from twin.identification.predicted import field_forms
 from twin.uncertainty.thermometer_effect import thermometer_effect
-from twin.uncertainty.volumetric_distribution import volumetric_distributions
+from twin.uncertainty.volumetric_distribution import aligned_distributions
 
 WRONG_K = 2.0
 SEEDS = range(3)
@@ -55,9 +55,9 @@ def test_taken_as_exact_the_thermometer_decides_on_the_scales() -> None:
 def test_an_uncertainty_that_covers_the_error_makes_the_result_true(seed: int, error_k: float, bar: str) -> None:
     drawn = case(seed, error_k, bar)
     found = score(drawn.machine, drawn.bar, drawn.seen, Options(temperature_standard_uncertainty_k=1.0))
-    vce = volumetric_distributions(found.estimate, GRID, TOOL).vce
-    assert found.after_um < vce.limits(0.95)[1].aligned_um
-    assert found.after_um > vce.limits(0.999)[0].aligned_um
+    vce = aligned_distributions(found.estimate, GRID, TOOL).vce
+    lower, upper = (1e3 * np.sqrt(vce.quantile(probability)) for probability in (0.0005, 0.975))
+    assert lower < found.after_um < upper
     assert found.after_um < 0.65 * found.before_um
 
 

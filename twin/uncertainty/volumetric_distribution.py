@@ -131,24 +131,46 @@ class VolumetricDistributions:
     vce: VolumetricDistribution
 
 
-def volumetric_distributions(
-    estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike, *, with_unresolved: bool = True
-) -> VolumetricDistributions:
-    """Return the distributions of the volumetric error with and without compensation, given `estimate`.
+@dataclass(frozen=True, eq=False)
+class AlignedDistributions:
+    """Distributions of the mean square deviation over the workspace in mm², after the best-fitting rigid motion has
+    been removed: without compensation (`ve`) and with compensation (`vce`). `resolved_ve` and `resolved_vce` do not
+    count the part of the misfit whose wavelength is too short for the misfit modes.
+    """
 
-    The error is taken over the axis positions `points`, shape (n, 3), in mm. The distributions are averaged over all
-    sets of scales that are compatible with the measurements. If `with_unresolved` is False, the part of the misfit
-    whose wavelength is too short for the misfit modes, which the measurements cannot tell from noise, is taken as zero.
+    ve: QuadraticMixture
+    vce: QuadraticMixture
+    resolved_ve: QuadraticMixture
+    resolved_vce: QuadraticMixture
+
+
+def aligned_distributions(estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike) -> AlignedDistributions:
+    """Return the distributions that `volumetric_distributions` returns, only those after the best-fitting rigid motion
+    has been removed, with and without the unresolved misfit. That takes half the time.
+
     Raises DataError if a covariance is invalid or zero.
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
-    written = np.zeros(_size(estimate))
-    written[: estimate.model.size] = estimate.parameters
-    forms = field_forms(estimate, grid, offset)
-    likely = mixture_components(estimate)
-    if not with_unresolved:
-        likely = tuple(replace(one, unresolved_mm2=0.0) for one in likely)
-    parts = [[_both(form, one, written) for one in likely] for form in forms]
+    form, written, likely = field_forms(estimate, grid, offset)[1], _written(estimate), mixture_components(estimate)
+    ve, vce = zip(*(_both(form, one, written) for one in likely), strict=True)
+    # The unresolved misfit is a constant of each part.
+    absent = [3.0 * one.unresolved_mm2 for one in likely]
+    resolved_ve, resolved_vce = (
+        tuple(replace(part, least=part.least - constant) for part, constant in zip(parts, absent, strict=True))
+        for parts in (ve, vce)
+    )
+    return AlignedDistributions(*map(QuadraticMixture, (ve, vce, resolved_ve, resolved_vce)))
+
+
+def volumetric_distributions(estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike) -> VolumetricDistributions:
+    """Return the distributions of the volumetric error with and without compensation, given `estimate`.
+
+    The error is taken over the axis positions `points`, shape (n, 3), in mm. The distributions are averaged over all
+    sets of scales that are compatible with the measurements. Raises DataError if a covariance is invalid or zero.
+    """
+    grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
+    written, likely = _written(estimate), mixture_components(estimate)
+    parts = [[_both(form, one, written) for one in likely] for form in field_forms(estimate, grid, offset)]
     ve, vce = (
         VolumetricDistribution(*(QuadraticMixture(tuple(pair[which] for pair in pairs)) for pairs in parts))
         for which in (0, 1)
@@ -164,5 +186,7 @@ def _both(form: Array, one: MixtureComponent, written: Array) -> tuple[Quadratic
     return QuadraticDistribution.about(form, np.zeros(len(written)), 3.0 * one.unresolved_mm2, means, one.factor)
 
 
-def _size(estimate: Estimate) -> int:
-    return estimate.model.size + (0 if estimate.misfit is None else estimate.misfit.modes.size)
+def _written(estimate: Estimate) -> Array:
+    """Return the parameters of the estimate as compensation, followed by a zero for each coefficient of the misfit."""
+    modes = 0 if estimate.misfit is None else estimate.misfit.modes.size
+    return np.concatenate((estimate.parameters, np.zeros(modes)))
