@@ -78,8 +78,8 @@ def test_the_contribution_is_what_a_known_temperature_would_save(weights: Any) -
 
 
 class Desk:
-    """The real command on the files of one measurement. It does not enforce the gates, and draws a report only where the
-    report is read."""
+    """The real command on the files of one measurement. It does not enforce the gates, and `unreported` draws no
+    report."""
 
     def __init__(self, folder: Path, drawn: Case, **kind: bool) -> None:
         self.folder, self.drawn = folder, drawn
