@@ -69,8 +69,8 @@ class SineMachine:
     def _joint(self, axis: int, share: np.ndarray) -> np.ndarray:
         """Return the homogeneous matrices (n, 4, 4) of an axis at shares (n,) of its travel."""
         amplitude, periods, phase = self.sines[axis].T
-        errors = np.stack([np.polynomial.legendre.legval(2.0 * share - 1.0, one) for one in self.series[axis]], axis=1)
-        errors += amplitude * np.sin(2.0 * np.pi * periods * share[:, None] + phase)
+        errors = np.polynomial.legendre.legval(2.0 * share - 1.0, self.series[axis].T).T
+        errors = errors + amplitude * np.sin(2.0 * np.pi * periods * share[:, None] + phase)
         zy, zx, yx = self.squareness.tolist()
         along = np.array([[1.0, 0.0, 0.0], [-yx, 1.0, 0.0], [zx, -zy, 1.0]])[axis]
         joint = np.zeros((len(share), 4, 4))
