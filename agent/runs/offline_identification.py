@@ -61,6 +61,7 @@ NO_STORE = StoreLimits((), (0, 0, 0), 0, 0.0, float("inf"), Activation.IMMEDIATE
 """Limits that never apply, for a table that is written to a file only."""
 
 TABLE_FILES = ("table.csv", "table.json")
+REPORT_FILE = "report.html"
 
 DEFAULT_GATES = GateSettings()
 """Limits if no settings file states any."""
@@ -89,7 +90,8 @@ class IdentificationRequest:
     artefact's temperature in K, common to all rows; it is None if it is not stated. In this case
     `thermometer_uncertainty_k`, the uncertainty of the thermometer according to the settings, is used for a ball file
     that contains temperatures. `instruments` are files with readings of other instruments; those that contradict are
-    used only if `join_contradicting` is True.
+    used only if `join_contradicting` is True. If `with_report` is False, no report is drawn, which takes as long as the
+    identification.
     """
 
     balls: Path
@@ -109,6 +111,7 @@ class IdentificationRequest:
     thermometer_uncertainty_k: float | None = None
     instruments: tuple[Path, ...] = ()
     join_contradicting: bool = False
+    with_report: bool = True
 
 
 @dataclass(frozen=True)
@@ -128,8 +131,8 @@ class IdentificationInput:
 
 @dataclass(frozen=True)
 class IdentificationResult:
-    """Result of an identification from files. `even_so` is True if the table is written although a gate did not
-    pass."""
+    """Result of an identification from files. `report` is the path of the report, None if none was asked for, and
+    `table_file` that of the table. `even_so` is True if the table is written although a gate did not pass."""
 
     run_id: str
     timestamp: str
@@ -137,7 +140,8 @@ class IdentificationResult:
     material: IdentificationInput
     estimation: EstimationResult
     gates: tuple[Gate, ...]
-    report: Path
+    table_file: Path
+    report: Path | None = None
     even_so: bool = False
 
     @property
@@ -175,12 +179,12 @@ class IdentificationResult:
             "predicted_vce_raw_um": None,
             "verified": None,
             "table_bank": None,
-            "report": str(self.report),
+            "report": None if self.report is None else str(self.report),
             "rejected": [list(row) for row in self.material.balls.as_numbered(estimate.rejected)],
             "certificate": certificate_document(estimate.certificate_check),
             "gates": {gate.name: gate.passed for gate in self.gates},
             "night": None if self.material.night is None else night_document(self.material.night),
-            "table": str(self.report.with_name("table.csv")) if self.has_table else None,
+            "table": str(self.table_file) if self.has_table else None,
             "reason": reasons(self.gates),
         }
 
@@ -188,11 +192,11 @@ class IdentificationResult:
 def identify_files(request: IdentificationRequest, timestamp: str) -> IdentificationResult:
     """Identify the machine's errors from files, and write the results into the folder `request.out`.
 
-    The files written are estimate.json, report.html and, if every gate passed or `request.even_so` is True, table.csv
-    and table.json. If the artefact was calibrated, its artefact file and covariance are written as well. Files of these
-    that an earlier identification wrote and this one does not are deleted, because they do not belong to the new
-    estimate. `timestamp` is the UTC time of the results in ISO 8601. Raises UserError if the input is
-    wrong; in this case, no file is written.
+    The files written are estimate.json, report.html if `request.with_report` is True, and table.csv and table.json if
+    every gate passed or `request.even_so` is True. If the artefact was calibrated, its artefact file and covariance are
+    written as well. Files of these that an earlier identification wrote and this one does not are deleted, because they
+    do not belong to the new estimate. `timestamp` is the UTC time of the results in ISO 8601. Raises UserError if the
+    input is wrong; in this case, no file is written.
     """
     check_folder(request.out)
     material = read_material(request)
@@ -205,11 +209,12 @@ def identify_files(request: IdentificationRequest, timestamp: str) -> Identifica
         material=material,
         estimation=estimation,
         gates=gates,
-        report=request.out / "report.html",
+        table_file=request.out / TABLE_FILES[0],
+        report=request.out / REPORT_FILE if request.with_report else None,
         even_so=request.even_so,
     )
     texts = _texts(result, request)
-    stale = (name for name in (*TABLE_FILES, *CALIBRATION_FILES) if name not in texts)
+    stale = (name for name in (REPORT_FILE, *TABLE_FILES, *CALIBRATION_FILES) if name not in texts)
     write_all_atomically(request.out, texts, stale)
     return result
 
@@ -360,16 +365,17 @@ def _table_tool(request: IdentificationRequest, machine: MachineDescription, bal
 
 def _texts(result: IdentificationResult, request: IdentificationRequest) -> dict[str, str]:
     """Return the texts of the result files by file name."""
-    from agent.reports.page.render import render_report  # noqa: PLC0415  refused input does not wait for matplotlib
-
     marked = replace(result.estimation.table, gates_not_passed=result.failed)
     table = format_table(marked)
     estimate = result.estimation.estimate
     numbered = replace(estimate, rejected=result.material.balls.as_numbered(estimate.rejected))
     texts = {
         "estimate.json": estimate_text(replace(result.estimation, estimate=numbered), _provenance(result, request)),
-        "report.html": render_report(_report_data(result, request, checksum(table) if result.has_table else "")),
     }
+    if request.with_report:
+        from agent.reports.page.render import render_report  # noqa: PLC0415  refused input does not wait for matplotlib
+
+        texts[REPORT_FILE] = render_report(_report_data(result, request, checksum(table) if result.has_table else ""))
     texts |= calibration_texts(
         estimate.artefact_calibration,
         result.material.artefact,

@@ -20,7 +20,7 @@ from twin.machine.forward_model import exact_deviation
 from twin.machine.kinematic_chain import parse_chain
 from twin.machine.machine_population import Family, family_from_amplitudes
 from twin.uncertainty.coverage import FieldError
-from twin.uncertainty.volumetric_distribution import volumetric_distributions
+from twin.uncertainty.volumetric_distribution import aligned_distributions
 from twin.uncertainty.volumetric_limits import limits_of_form
 
 NOMINAL = 0.95
@@ -123,7 +123,7 @@ def compare_with_truth(machine: DrawnMachine, estimate: Estimate, rng: np.random
     before_um, after_um = true_error_um(machine), true_error_um(machine, estimate)
     forms = field_forms(estimate, GRID, TOOL)
     limits = limits_of_form(estimate, forms[1])
-    stated = volumetric_distributions(estimate, GRID, TOOL)
+    stated = aligned_distributions(estimate, GRID, TOOL)
     low, high = np.array(machine.ranges).T
     points = rng.uniform(low, high, (_POINTS, 3))
     levels = FieldError.of(estimate, machine, points).pointwise_levels()
@@ -134,7 +134,7 @@ def compare_with_truth(machine: DrawnMachine, estimate: Estimate, rng: np.random
         predicted_um=expected_vce(estimate, forms).aligned_um,
         ve_held=limits.ve_um[0] <= before_um <= limits.ve_um[1],
         vce_held=limits.vce_um[0] <= after_um <= limits.vce_um[1],
-        vce_rank=stated.vce.aligned.at_most((1e-3 * after_um) ** 2),
+        vce_rank=stated.vce.at_most((1e-3 * after_um) ** 2),
         field_held=float((levels <= NOMINAL).mean()),
         joint_held=joint <= NOMINAL,
     )

@@ -73,7 +73,7 @@ class SineMachine:
     def _errors(self, axis: int, share: np.ndarray) -> np.ndarray:
         """Return the error motions (n, 6) of an axis in mm and rad at shares (n,) of its travel."""
         amplitude, periods, phase = self.sines[axis].T
-        errors = np.stack([np.polynomial.legendre.legval(2.0 * share - 1.0, one) for one in self.series[axis]], axis=1)
+        errors = np.polynomial.legendre.legval(2.0 * share - 1.0, self.series[axis].T).T
         return np.asarray(errors + amplitude * np.sin(2.0 * np.pi * periods * share[:, None] + phase))
 
     def _joint(self, axis: int, share: np.ndarray) -> np.ndarray:

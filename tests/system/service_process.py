@@ -134,6 +134,7 @@ def service(config: Path, **environment: str) -> Iterator[Service]:
             stderr=subprocess.STDOUT,
             text=True,
             env={**os.environ, **environment},
+            process_group=0,
         )
     served = Service(process, directory, config)
     try:
@@ -141,7 +142,8 @@ def service(config: Path, **environment: str) -> Iterator[Service]:
         wait_for(lambda: place.exists() or process.poll() is not None, "the service")
         yield served
     finally:
-        process.kill()
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)  # with it what draws a report that nobody waits for
         process.wait(PATIENCE_S)
 
 

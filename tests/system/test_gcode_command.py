@@ -56,7 +56,7 @@ def identified(tmp_path_factory: pytest.TempPathFactory) -> tuple[HiddenMachine,
     folder = tmp_path_factory.mktemp("identified")
     machine = ball_file(folder / "balls.csv", seed=3)
     where = ("--machine", MACHINE_FILE, "--artefact", ARTEFACT_FILE, "--out", folder)
-    volcal("identify", folder / "balls.csv", *where, "--temperature-uncertainty", "0.1")
+    volcal("identify", folder / "balls.csv", *where, "--temperature-uncertainty", "0.1", "--no-report")
     return machine, folder / "table.csv"
 
 

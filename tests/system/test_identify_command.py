@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import Result
 from hidden_machine import (
     ARTEFACT_FILE,
     COLUMNS,
@@ -24,6 +25,7 @@ from hidden_machine import (
     measured_rows,
 )
 from scipy.interpolate import RegularGridInterpolator
+from volcal_command import volcal
 
 from twin.artefact.position_set import parse_position_set
 from twin.machine.volumetric import evaluation_grid, volumetric_error
@@ -40,6 +42,11 @@ RESULTS = [*ARTEFACT, "estimate.json", "report.html", "table.csv", "table.json"]
 def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     command = [*RUN, *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=600.0, check=False)
+
+
+def here(*arguments: str | Path) -> Result:
+    """Run the same command in this process, which saves the start of a separate one."""
+    return volcal("identify", *arguments, exit_code=None)
 
 
 def arguments(balls: Path, out: Path, machine: Path = MACHINE_FILE, artefact: Path = ARTEFACT_FILE) -> list[str]:
@@ -109,8 +116,8 @@ class TestGoodInput:
         strict = "[gates]\nmin_degrees_of_freedom = 100000\nmax_correction_um = 0.001\n"
         (tmp_path / "volcal.toml").write_text(f"{text}\n{strict}")
         config = ("--config", tmp_path / "volcal.toml")
-        done = run(*arguments(measured[0], tmp_path / "out"), *config, "--order", "2", "--json")
-        assert done.returncode == 4, done.stderr
+        done = here(*arguments(measured[0], tmp_path / "out"), *config, "--order", "2", "--json")
+        assert done.exit_code == 4, done.stderr
         gates = json.loads(done.stdout)["gates"]
         assert not gates["redundancy"]
         assert not gates["correction"]
@@ -123,12 +130,15 @@ class TestGoodInput:
         rows = measured_rows(hidden_machine(rng), parse_position_set("S3", 4), rng)
         rows[100]["y_mm"] = f"{float(rows[100]['y_mm']) + 0.05:.6f}"
         (tmp_path / "balls.csv").write_text(as_csv(rows))
-        done = run(*arguments(tmp_path / "balls.csv", tmp_path / "out"), "--json")
+        done = here(*arguments(tmp_path / "balls.csv", tmp_path / "out"), "--no-report", "--json")
         assert [int(rows[100]["position"]), int(rows[100]["ball"]), 0] in json.loads(done.stdout)["rejected"]
 
     def test_without_the_family_it_still_ends_well(self, measured: tuple, tmp_path: Path) -> None:
-        done = run(*arguments(measured[0], tmp_path / "out"), "--prior", "off", "--even-so", "--json")
-        assert done.returncode == 0, done.stderr
+        options = ("--prior", "off", "--even-so", "--no-report", "--json")
+        done = here(*arguments(measured[0], tmp_path / "out"), *options)
+        assert done.exit_code == 0, done.stderr
+        assert json.loads(done.stdout)["report"] is None
+        assert not (tmp_path / "out" / "report.html").exists()
         assert np.isfinite(json.loads(done.stdout)["predicted_vce_um"])
 
 
@@ -173,9 +183,9 @@ BAD_BALLS: dict[str, tuple[Callable[[list[dict]], str], list[str]]] = {
 
 
 class TestBadInput:
-    def refuse(self, done: subprocess.CompletedProcess[str], out: Path, *words: str) -> None:
+    def refuse(self, done: Result, out: Path, *words: str) -> None:
         """One clear message, exit code 2, nothing written, nothing on stdout."""
-        assert done.returncode == 2, (done.returncode, done.stdout, done.stderr)
+        assert done.exit_code == 2, (done.exit_code, done.stdout, done.stderr)
         assert done.stdout == ""
         assert done.stderr.startswith("error: ")
         assert len(done.stderr.strip().splitlines()) == 1
@@ -189,12 +199,12 @@ class TestBadInput:
         make, words = BAD_BALLS[name]
         path = tmp_path / "balls.csv"
         path.write_text(make(rows))
-        self.refuse(run(*arguments(path, tmp_path / "out"), "--json"), tmp_path / "out", str(path), *words)
+        self.refuse(here(*arguments(path, tmp_path / "out"), "--json"), tmp_path / "out", str(path), *words)
 
     def test_one_position_only_without_the_family(self, rows: list[dict], tmp_path: Path) -> None:
         path = tmp_path / "balls.csv"
         path.write_text(BAD_BALLS["one position only"][0](rows))
-        self.refuse(run(*arguments(path, tmp_path / "out"), "--prior", "off"), tmp_path / "out", str(path))
+        self.refuse(here(*arguments(path, tmp_path / "out"), "--prior", "off"), tmp_path / "out", str(path))
 
     @pytest.mark.parametrize(
         ("old", "new", "words"),
@@ -211,28 +221,32 @@ class TestBadInput:
         text = MACHINE_FILE.read_text()
         assert old in text
         (tmp_path / "m.toml").write_text(text.replace(old, new, 1))
-        done = run(*arguments(measured[0], tmp_path / "out", machine=tmp_path / "m.toml"))
+        done = here(*arguments(measured[0], tmp_path / "out", machine=tmp_path / "m.toml"))
         self.refuse(done, tmp_path / "out", *words)
 
     def test_an_unknown_key_of_the_artefact(self, measured: tuple, tmp_path: Path) -> None:
         (tmp_path / "a.toml").write_text("weight_kg = 3.0\n" + ARTEFACT_FILE.read_text())
-        done = run(*arguments(measured[0], tmp_path / "out", artefact=tmp_path / "a.toml"))
+        done = here(*arguments(measured[0], tmp_path / "out", artefact=tmp_path / "a.toml"))
         self.refuse(done, tmp_path / "out", "weight_kg", "a.toml")
 
     def test_a_missing_file(self, tmp_path: Path) -> None:
-        self.refuse(run(*arguments(tmp_path / "no.csv", tmp_path / "out")), tmp_path / "out", "no.csv", "no such file")
+        given, words = arguments(tmp_path / "no.csv", tmp_path / "out"), ("no.csv", "no such file")
+        self.refuse(here(*given), tmp_path / "out", *words)
+        as_process = run(*given)
+        assert (as_process.returncode, as_process.stdout) == (2, "")
+        assert as_process.stderr == here(*given).stderr
 
     def test_a_directory_where_a_file_should_be(self, tmp_path: Path) -> None:
-        self.refuse(run(*arguments(tmp_path, tmp_path / "out")), tmp_path / "out", "directory")
+        self.refuse(here(*arguments(tmp_path, tmp_path / "out")), tmp_path / "out", "directory")
 
     def test_an_output_directory_that_cannot_be(self, measured: tuple, tmp_path: Path) -> None:
         (tmp_path / "taken").write_text("mine")
-        done = run(*arguments(measured[0], tmp_path / "taken" / "out"))
+        done = here(*arguments(measured[0], tmp_path / "taken" / "out"))
         self.refuse(done, tmp_path / "taken" / "out", "taken")
         assert (tmp_path / "taken").read_text() == "mine"
 
     def test_an_unknown_table_tool(self, measured: tuple, tmp_path: Path) -> None:
-        done = run(*arguments(measured[0], tmp_path / "out"), "--tool", "long")
+        done = here(*arguments(measured[0], tmp_path / "out"), "--tool", "long")
         self.refuse(done, tmp_path / "out", "long", "probe")
 
     def test_earlier_results_survive_a_bad_run(self, rows: list[dict], tmp_path: Path) -> None:
@@ -240,8 +254,8 @@ class TestBadInput:
         (tmp_path / "out" / "table.csv").write_text("of last night")
         path = tmp_path / "balls.csv"
         path.write_text(edited(rows, 1, x_mm=""))
-        done = run(*arguments(path, tmp_path / "out"))
-        assert done.returncode == 2
+        done = here(*arguments(path, tmp_path / "out"))
+        assert done.exit_code == 2
         assert [(p.name, p.read_text()) for p in (tmp_path / "out").iterdir()] == [("table.csv", "of last night")]
 
 

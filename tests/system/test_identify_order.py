@@ -59,7 +59,7 @@ def test_the_evidence_chooses_and_says_so_everywhere(first: Path) -> None:
 
 @pytest.mark.parametrize(("order", "size"), [("file", 90), ("4", 72), ("7", 126)])
 def test_an_order_that_is_given_is_taken(nights: tuple[Path, Path], tmp_path: Path, order: str, size: int) -> None:
-    done = run(nights[0], tmp_path / "out", "--order", order)
+    done = run(nights[0], tmp_path / "out", "--order", order, "--no-report")
     assert done.exit_code == 0, done.output
     said = json.loads(done.output)
     assert (said["parameters"], said["order_evidence"]) == (size, {})
@@ -69,7 +69,7 @@ def test_an_order_that_is_given_is_taken(nights: tuple[Path, Path], tmp_path: Pa
 def test_a_second_night_knows_what_the_first_one_found(nights: tuple[Path, Path], first: Path, tmp_path: Path) -> None:
     fused, aged = tmp_path / "fused", tmp_path / "aged"
     for out, more in ((fused, ()), (aged, ("--process-noise-um", "3"))):
-        done = run(nights[1], out, "--carried-over", first / "estimate.json", *more)
+        done = run(nights[1], out, "--carried-over", first / "estimate.json", "--no-report", *more)
         assert done.exit_code == 0, done.output
         assert stored(out).model == stored(first).model
     before, after, later = (np.diag(stored(out).covariance) for out in (first, fused, aged))

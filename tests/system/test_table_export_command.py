@@ -39,7 +39,7 @@ def identified(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, HiddenMa
     folder = tmp_path_factory.mktemp("identified")
     machine = ball_file(folder / "balls.csv", expression="S3", stations=4)
     files = ("--machine", MACHINE_FILE, "--artefact", ARTEFACT_FILE, "--out", folder / "run", "--order", "5")
-    done = volcal("identify", folder / "balls.csv", *files, "--temperature-uncertainty", "0.1")
+    done = volcal("identify", folder / "balls.csv", *files, "--temperature-uncertainty", "0.1", "--no-report")
     assert done.exit_code == 0, done.output
     return folder / "run", machine
 

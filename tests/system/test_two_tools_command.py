@@ -62,7 +62,7 @@ def night(tmp_path_factory: pytest.TempPathFactory) -> Measured:
 
 
 def test_the_second_tool_shows_more(night: Measured) -> None:
-    one = night.identify("one", night.rows["probe"])
+    one = night.identify("one", night.rows["probe"], "--no-report")
     both = night.identify("both", [*night.rows["probe"], *night.rows["side"]])
     assert both["balls"] == len(night.rows["probe"]) + len(night.rows["side"])
     # turns of the Y carriage about the line through both tool points stay: five orders
@@ -75,7 +75,7 @@ def test_the_second_tool_shows_more(night: Measured) -> None:
 
 @pytest.mark.parametrize("tool", OFFSETS)
 def test_the_table_of_either_tool_betters_the_true_machine_with_it(night: Measured, tool: str) -> None:
-    said = night.identify(f"for-{tool}", [*night.rows["probe"], *night.rows["side"]], "--tool", tool)
+    said = night.identify(f"for-{tool}", [*night.rows["probe"], *night.rows["side"]], "--tool", tool, "--no-report")
     side_file = json.loads((night.folder / f"for-{tool}" / "table.json").read_text())
     assert side_file["tool_offset_mm"] == OFFSETS[tool].tolist()
     bare, left = night.left_um(f"for-{tool}", tool)

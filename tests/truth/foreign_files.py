@@ -68,13 +68,14 @@ class Folder:
     def out(self) -> Path:
         return self.path / "out"
 
-    def run(self, bar: ForeignBar, rows: list[Row], *options: str) -> Result:
+    def run(self, bar: ForeignBar, rows: list[Row], *options: str, report: bool = False) -> Result:
         (self.path / "machine.toml").write_text(machine_text(self.low_mm))
         (self.path / "bar.toml").write_text(artefact_text(bar))
         balls = self.path / "balls.csv"
         balls.write_text(ball_text(rows))
         files = ("--machine", self.path / "machine.toml", "--artefact", self.path / "bar.toml", "--out", self.out)
-        arguments = [str(balls), *map(str, files), "--even-so", *options]
+        drawn = () if report else ("--no-report",)
+        arguments = [str(balls), *map(str, files), "--even-so", *drawn, *options]
         return CliRunner().invoke(identify, arguments, prog_name="volcal identify")
 
 

@@ -129,7 +129,7 @@ def test_the_command_accepts_a_night_without_a_step(
 
     _, file = before_the_step
     *_, calm = islice(measured_nights(without_step, STEP_NIGHT), STEP_NIGHT + 1)
-    found = identified(calm, file, tmp_path / "calm", "--process-noise-um", str(STATED_UM))
+    found = identified(calm, file, tmp_path / "calm", "--process-noise-um", str(STATED_UM), "--no-report")
     assert found["gates"]["night"] is True
     assert found["night"]["fits"] is True
     assert found["night"]["likeliest"] is None
@@ -143,7 +143,7 @@ def test_a_drift_that_is_not_stated_does_not_fit(
     start = tmp_path / "start.json"
     estimate = sixty_nights(season)[0].estimate
     start.write_text(format_estimate(estimate, {}), encoding="utf-8")
-    found = identified(later, start, tmp_path / "later")
+    found = identified(later, start, tmp_path / "later", "--no-report")
     assert found["night"]["fits"] is False
 
 

@@ -129,7 +129,10 @@ def test_the_limits_stand_in_every_result(tmp_path: Path) -> None:
     stored = json.loads((tmp_path / "out" / "estimate.json").read_text())
     names = ("estimated_ve_um", "estimated_ve_limits_um", "predicted_vce_um", "predicted_vce_limits_um")
     assert stored["volumetric"] == {name: document[name] for name in names}
-    page, shown = (tmp_path / "out" / "report.html").read_text(), identify(case, tmp_path / "again").stdout
+    page, shown = (
+        (tmp_path / "out" / "report.html").read_text(),
+        identify(case, tmp_path / "again", "--no-report").stdout,
+    )
     for name in ("estimated_ve", "predicted_vce"):
         low, high = document[f"{name}_limits_um"]
         decimals = 1 if document[f"{name}_um"] >= 10.0 else 2
@@ -145,5 +148,5 @@ def test_nothing_is_stated_about_the_rigid_motion_that_no_artefact_sees(tmp_path
     for text in (done.stdout, page):
         assert "as defined" not in text
         assert "not aligned" not in text
-    document = json.loads(identify(case, tmp_path / "json", "--json").stdout)
+    document = json.loads(identify(case, tmp_path / "json", "--json", "--no-report").stdout)
     assert document["predicted_vce_raw_um"] is None

@@ -42,7 +42,8 @@ def test_right_and_wrong_lasers_of_one_identification(tmp_path: Path) -> None:
     (tmp_path / "wrong.csv").write_text(laser_text(machine, 40.0))
     given = [option for name in ("wrong.csv", "right.csv") for option in ("--instrument", str(tmp_path / name))]
     folder = Folder(tmp_path)
-    done = folder.run(bar, rows_of(seen, per_station=2, first_position=0), "--order", "3", "--json", *given)
+    rows = rows_of(seen, per_station=2, first_position=0)
+    done = folder.run(bar, rows, "--order", "3", "--json", *given, report=True)
     assert done.exit_code == 0, done.output
     wrong, right = json.loads(done.stdout)["instruments"]
     assert (wrong["name"], wrong["contradicts"], wrong["joined"]) == ("wrong.csv", True, False)

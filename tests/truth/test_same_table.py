@@ -91,7 +91,7 @@ def test_rejected_balls_have_the_numbers_of_the_file(measurement: Measurement, t
     wrong = next(k for k, row in enumerate(numbered) if row["ball"] == "3" and int(row["position"]) < 880)
     numbered[wrong] = {**numbered[wrong], "y_mm": f"{float(numbered[wrong]['y_mm']) + 0.06:.6f}"}
     folder, number = Folder(tmp_path), int(numbered[wrong]["position"])
-    done = folder.run(bar, numbered, *ORDER)
+    done = folder.run(bar, numbered, *ORDER, report=True)
     assert done.exit_code == 0, done.output
     assert json.loads(done.stdout.splitlines()[0])["rejected"] == [[number, 3, 0]]
     stored = json.loads((folder.out / "estimate.json").read_text())

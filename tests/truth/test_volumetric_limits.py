@@ -15,7 +15,7 @@ from campaigns.foreign.score import family_of, score, true_error_um
 from twin.identification import identify, predicted_vce
 from twin.machine.volumetric import evaluation_grid
 from twin.uncertainty.quadratic_distribution import QuadraticDistribution
-from twin.uncertainty.volumetric_distribution import volumetric_distributions
+from twin.uncertainty.volumetric_distribution import aligned_distributions
 from twin.uncertainty.volumetric_limits import mixture_quantiles, volumetric_limits
 
 PROBABILITIES = (0.025, 0.25, 0.5, 0.975)
@@ -54,10 +54,10 @@ def test_limits_of_an_estimate(
     machine, bar = foreign_machine(rng, worse), tilted_bar(rng)
     seen = measure(machine, bar, orientations, np.random.default_rng(103), stations=stations).seen
     estimate, grid = score(machine, bar, seen).estimate, evaluation_grid(RANGES)
-    found, upper = volumetric_limits(estimate, grid, TOOL), volumetric_distributions(estimate, grid, TOOL)
-    lower = volumetric_distributions(estimate, grid, TOOL, with_unresolved=False)
-    for above, below, limits_um in ((upper.ve, lower.ve, found.ve_um), (upper.vce, lower.vce, found.vce_um)):
-        exact_mm2 = (below.aligned.quantile(0.025), above.aligned.quantile(0.975))
+    found, exact = volumetric_limits(estimate, grid, TOOL), aligned_distributions(estimate, grid, TOOL)
+    ve, vce = (exact.ve, exact.resolved_ve, found.ve_um), (exact.vce, exact.resolved_vce, found.vce_um)
+    for above, below, limits_um in (ve, vce):
+        exact_mm2 = (below.quantile(0.025), above.quantile(0.975))
         assert limits_um == pytest.approx(1e3 * np.sqrt(exact_mm2), rel=0.01)
 
 

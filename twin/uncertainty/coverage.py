@@ -8,6 +8,7 @@ fraction of levels that do not exceed 0.95 is the observed coverage of the 95 % 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -26,7 +27,7 @@ from twin.machine.forward_model import exact_deviation
 from twin.machine.machine_population import Family
 from twin.machine.rigid_motion import rigid_fields
 from twin.machine.volumetric import volumetric_error
-from twin.uncertainty.volumetric_distribution import volumetric_distributions
+from twin.uncertainty.volumetric_distribution import aligned_distributions
 
 _MIN_VARIANCE = 1e-9  # of the largest variance: directions below were removed with the rigid motion
 # The standard error that the bootstrap gives is itself uncertain by 1/√(2 · 2000), 1.6 %.
@@ -186,16 +187,15 @@ def volumetric_comparisons(
     offset = truth.tool_offset
     true = truth.deviation(grid)
     left = true - exact_deviation(estimate.model, grid, offset, estimate.parameters)
-    most = volumetric_distributions(estimate, grid, offset)
-    least = volumetric_distributions(estimate, grid, offset, with_unresolved=False)
+    stated = aligned_distributions(estimate, grid, offset)
     found = []
-    for field, upper, lower in ((true, most.ve, least.ve), (left, most.vce, least.vce)):
+    for field, upper, lower in ((true, stated.ve, stated.resolved_ve), (left, stated.vce, stated.resolved_vce)):
         rms_mm = volumetric_error(grid + offset, field).aligned_mm
         # An equal-tailed interval of level p ends at the quantiles (1 ± p)/2, so its upper end is the truth if
         # p = 2 P - 1, and its lower end if p = 1 - 2 P.
-        above, below = (one.aligned.at_most(rms_mm**2) for one in (upper, lower))
+        above, below = (one.at_most(rms_mm**2) for one in (upper, lower))
         level = max(2.0 * above - 1.0, 1.0 - 2.0 * below, 0.0)
-        found.append(VolumetricComparison(rms_mm, upper.expected.aligned_mm, level))
+        found.append(VolumetricComparison(rms_mm, math.sqrt(upper.mean), level))
     return found[0], found[1]
 
 

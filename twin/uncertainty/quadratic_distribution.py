@@ -45,11 +45,13 @@ Complex = np.ndarray[Any, np.dtype[np.complex128]]
 
 @dataclass(frozen=True)
 class _Path:
-    """Parabola s = `saddle` + i v + `bend` v² in the complex plane, sampled at intervals `step` of v."""
+    """Parabola s = `saddle` + i v + `bend` v² in the complex plane, sampled at intervals `step` of v. `top` is the
+    exponent at the saddle."""
 
     saddle: float
     bend: float
     step: float
+    top: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,10 +191,10 @@ class QuadraticDistribution:
         sign = 1.0 if upper else -1.0
         saddle = self._upper_saddle(above) if upper else self._lower_saddle(above)
         width = 1.0 / math.sqrt(self._curvature(saddle))
+        top = float(self._exponent(np.array([saddle + 0j]), above, sign)[0].real)
         for bend in _BENDS:
-            total = self._sum_along(_Path(saddle, bend / width, _STEP * width), above, sign)
+            total = self._sum_along(_Path(saddle, bend / width, _STEP * width, top), above, sign)
             if total is not None:
-                top = float(self._exponent(np.array([saddle + 0j]), above, sign)[0].real)
                 # P = 1/(2πi) ∫ exp(exponent) ds. The two halves of the path are complex conjugates, so twice the real
                 # part of the upper half is summed: dv/π times the sum.
                 return min(max(math.exp(top) * _STEP * width / math.pi * total, 0.0), 1.0)
@@ -211,11 +213,10 @@ class QuadraticDistribution:
         Return None if the integrand does not decay steadily or its phase turns faster than the steps can follow.
         """
         total, lowest = -0.5, 0.0  # the trapezoidal rule counts the first point half
-        top = float(self._exponent(np.array([path.saddle + 0j]), above, sign)[0].real)
         for block in range(_MAX_BLOCKS):
             v = path.step * (_BLOCK * block + np.arange(_BLOCK))
             s = np.asarray(path.saddle + 1j * v + path.bend * v**2, dtype=np.complex128)
-            exponent = self._exponent(s, above, sign) - top
+            exponent = self._exponent(s, above, sign) - path.top
             # Each point is compared with the lowest value so far: a path that climbs again passes another saddle or a
             # pole.
             falling = np.minimum.accumulate(np.append(lowest, exponent.real))

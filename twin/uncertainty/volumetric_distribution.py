@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,6 +25,11 @@ from twin.uncertainty.quadratic_distribution import QuadraticDistribution, root_
 from twin.uncertainty.scale_mixture import MixtureComponent, mixture_components
 
 _LEAST_SPREAD = 1e-9  # relative standard deviation below which rounding decides
+_LEAST_PROBABILITY = 1e-300  # smaller ones have no quantile
+_ROUNDING = 1e-16
+_TOLERANCE = 1e-12  # of ln Q
+_BEYOND = 1.1  # step of the search for a quantile beyond where a log-normal distribution has it
+_SHORTEST = 1e-3  # step in standard deviations that is taken in any case
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,18 +61,29 @@ class QuadraticMixture:
         """
         if not 0.0 < probability < 1.0:
             raise DataError(f"the probability must lie between 0 and 1, not {probability}")
-        # The search begins at the quantile of the log-normal distribution with the same mean and variance.
-        # A log-normal variable with mean m and variance V has the logarithmic deviation √ln(1 + V/m²) and the median m
-        # exp(-½ spread²).
+        # With ln Q as argument, and with the quantile of the standard normal distribution at the probability as value,
+        # the distribution is nearly a straight line, exactly one for a log-normal variable: with mean m and variance V
+        # it has the logarithmic deviation √ln(1 + V/m²) and the median m exp(-½ spread²). The search begins at its
+        # quantile and follows its line, so that few evaluations are needed; each costs an integral for each part.
         spread = math.sqrt(math.log1p(max(self.variance / self.mean**2, _LEAST_SPREAD**2)))
-        lower = upper = self.mean * math.exp(spread * (float(ndtri(probability)) - 0.5 * spread))
-        widening = math.exp(0.2 * spread)
-        # The steps grow, so that a start far from the quantile is corrected in few evaluations; each costs an integral.
-        while self.at_most(lower) >= probability:
-            lower, widening = lower / widening, widening**1.5
-        while self.at_most(upper) <= probability:
-            upper, widening = upper * widening, widening**1.5
-        return root_between(lambda value: self.at_most(value) - probability, lower, upper, 1e-12 * upper)
+        wanted = float(ndtri(probability))
+
+        @cache
+        def missed_by(logarithm: float) -> float:
+            reached = min(max(self.at_most(math.exp(logarithm)), _LEAST_PROBABILITY), 1.0 - _ROUNDING)
+            return float(ndtri(reached)) - wanted
+
+        start = math.log(self.mean) + spread * (wanted - 0.5 * spread)
+        missed = missed_by(start)
+        if missed == 0.0:
+            return math.exp(start)
+        # Some more than the line says, so that the quantile lies between; the steps grow until it does.
+        step = -spread * (_BEYOND * missed + math.copysign(_SHORTEST, missed))
+        end = start + step
+        while missed_by(end) * missed > 0.0:
+            start, step = end, 2.0 * step
+            end = start + step
+        return math.exp(root_between(missed_by, min(start, end), max(start, end), _TOLERANCE))
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,24 +131,46 @@ class VolumetricDistributions:
     vce: VolumetricDistribution
 
 
-def volumetric_distributions(
-    estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike, *, with_unresolved: bool = True
-) -> VolumetricDistributions:
-    """Return the distributions of the volumetric error with and without compensation, given `estimate`.
+@dataclass(frozen=True, eq=False)
+class AlignedDistributions:
+    """Distributions of the mean square deviation over the workspace in mm², after the best-fitting rigid motion has
+    been removed: without compensation (`ve`) and with compensation (`vce`). `resolved_ve` and `resolved_vce` do not
+    count the part of the misfit whose wavelength is too short for the misfit modes.
+    """
 
-    The error is taken over the axis positions `points`, shape (n, 3), in mm. The distributions are averaged over all
-    sets of scales that are compatible with the measurements. If `with_unresolved` is False, the part of the misfit
-    whose wavelength is too short for the misfit modes, which the measurements cannot tell from noise, is taken as zero.
+    ve: QuadraticMixture
+    vce: QuadraticMixture
+    resolved_ve: QuadraticMixture
+    resolved_vce: QuadraticMixture
+
+
+def aligned_distributions(estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike) -> AlignedDistributions:
+    """Return the distributions that `volumetric_distributions` returns, only those after the best-fitting rigid motion
+    has been removed, with and without the unresolved misfit. That takes half the time.
+
     Raises DataError if a covariance is invalid or zero.
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
-    written = np.zeros(_size(estimate))
-    written[: estimate.model.size] = estimate.parameters
-    forms = field_forms(estimate, grid, offset)
-    likely = mixture_components(estimate)
-    if not with_unresolved:
-        likely = tuple(replace(one, unresolved_mm2=0.0) for one in likely)
-    parts = [[_both(form, one, written) for one in likely] for form in forms]
+    form, written, likely = field_forms(estimate, grid, offset)[1], _written(estimate), mixture_components(estimate)
+    ve, vce = zip(*(_both(form, one, written) for one in likely), strict=True)
+    # The unresolved misfit is a constant of each part.
+    absent = [3.0 * one.unresolved_mm2 for one in likely]
+    resolved_ve, resolved_vce = (
+        tuple(replace(part, least=part.least - constant) for part, constant in zip(parts, absent, strict=True))
+        for parts in (ve, vce)
+    )
+    return AlignedDistributions(*map(QuadraticMixture, (ve, vce, resolved_ve, resolved_vce)))
+
+
+def volumetric_distributions(estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike) -> VolumetricDistributions:
+    """Return the distributions of the volumetric error with and without compensation, given `estimate`.
+
+    The error is taken over the axis positions `points`, shape (n, 3), in mm. The distributions are averaged over all
+    sets of scales that are compatible with the measurements. Raises DataError if a covariance is invalid or zero.
+    """
+    grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
+    written, likely = _written(estimate), mixture_components(estimate)
+    parts = [[_both(form, one, written) for one in likely] for form in field_forms(estimate, grid, offset)]
     ve, vce = (
         VolumetricDistribution(*(QuadraticMixture(tuple(pair[which] for pair in pairs)) for pairs in parts))
         for which in (0, 1)
@@ -147,5 +186,7 @@ def _both(form: Array, one: MixtureComponent, written: Array) -> tuple[Quadratic
     return QuadraticDistribution.about(form, np.zeros(len(written)), 3.0 * one.unresolved_mm2, means, one.factor)
 
 
-def _size(estimate: Estimate) -> int:
-    return estimate.model.size + (0 if estimate.misfit is None else estimate.misfit.modes.size)
+def _written(estimate: Estimate) -> Array:
+    """Return the parameters of the estimate as compensation, followed by a zero for each coefficient of the misfit."""
+    modes = 0 if estimate.misfit is None else estimate.misfit.modes.size
+    return np.concatenate((estimate.parameters, np.zeros(modes)))

@@ -106,6 +106,7 @@ def _order(_context: click.Context, _option: click.Parameter, text: str | None) 
 )
 @click.option("--tool", metavar="NAME", help="Tool for which the table is made [default: the one used most].")
 @click.option("--even-so", is_flag=True, help="Write the table, with a mark, although a gate did not pass.")
+@click.option("--no-report", is_flag=True, help="Draw no report, which takes about as long as the identification.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout instead of a table.")
 @reported
 def identify(
@@ -126,6 +127,7 @@ def identify(
     join_contradicting: bool,
     tool: str | None,
     even_so: bool,
+    no_report: bool,
     as_json: bool,
 ) -> None:
     """Identify a machine from measured ball centres.
@@ -167,6 +169,7 @@ def identify(
         thermometer_uncertainty_k=None if settings is None else settings.temperature.standard_uncertainty_k,
         instruments=instruments,
         join_contradicting=join_contradicting,
+        with_report=not no_report,
     )
     result = identify_files(request, utc_timestamp())
     if as_json:
@@ -216,4 +219,4 @@ def _show(result: IdentificationResult, config: Path | None, seconds: float) -> 
         console.print(f"note: {estimation.thermometer.warning}", style="yellow", markup=False)
     if result.failed and result.has_table:
         console.print(f"note: the table was written although {reasons(result.gates)}", style="yellow")
-    console.print(f"report: {result.report}", markup=False)
+    console.print(f"report: {result.report or 'none'}", markup=False)

@@ -41,7 +41,7 @@ def add_results(
     listed = add(measured, "results")
     _add_volumetric(listed, data, found, t)
     _add_geometric(listed, data, found, t)
-    _add_acceptance(listed, data, table, t)
+    _add_acceptance(listed, found, table, t)
 
 
 def _add_methods(measured: etree._Element, data: ReportData, t: Texts) -> None:
@@ -155,9 +155,11 @@ def _add_error(whole: etree._Element, row: ErrorRow, tolerance: float | None) ->
         _add_conformity(one, row.conformity(tolerance), tolerance, row.unit)
 
 
-def _add_acceptance(listed: etree._Element, data: ReportData, table: CompensationTable | None, t: Texts) -> None:
+def _add_acceptance(
+    listed: etree._Element, found: IdentificationData, table: CompensationTable | None, t: Texts
+) -> None:
     """Add the predicted figures of acceptance tests that the report contains, without the table and with it."""
-    if data.acceptance is None:
+    if found.acceptance is None:
         return
     states = {"without_table": "Predicted figures of ISO 230, without compensation table"}
     if table is not None:
@@ -166,7 +168,7 @@ def _add_acceptance(listed: etree._Element, data: ReportData, table: Compensatio
         values = _add_result(listed, title, t["not_an_acceptance_test"], t["acceptance_note"])
         whole = add(values, "list")
         add_words(whole, "name", title)
-        _add_figures(whole, data.acceptance.all_tests, state)
+        _add_figures(whole, found.acceptance.all_tests, state)
 
 
 def _add_figures(whole: etree._Element, tests: Sequence[PredictedTest], state: str) -> None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import RegularGridInterpolator
 
 from agent.reports.page.data import ReportedEstimate
 from agent.reports.page.workspace_maps import PLANE_SHAPE
@@ -16,6 +16,9 @@ from twin.identification import field_uncertainty
 from twin.machine.forward_model import exact_deviation
 from twin.machine.volumetric import evaluation_grid, rigid_part
 from twin.units import UM_PER_MM
+
+if TYPE_CHECKING:
+    from scipy.interpolate import RegularGridInterpolator
 
 _LATTICE = (25, 13, 13)
 """Points per axis at which the uncertainty is computed once per run; between them it is interpolated."""
@@ -110,6 +113,8 @@ class ErrorField:
 
     @cached_property
     def _sigma_mm(self) -> RegularGridInterpolator:
+        from scipy.interpolate import RegularGridInterpolator  # noqa: PLC0415  a tenth of the start of the service
+
         ranges = self.estimate.model.ranges_mm
         points = evaluation_grid(ranges, _LATTICE)
         found = field_uncertainty(self.estimate, points, self.tool_offset_mm, aligned_over=self._grid)

@@ -95,7 +95,9 @@ def test_every_artefact_is_measured_without_a_collision_and_identified(
     path = tmp_path / "balls.csv"
     path.write_text(as_file(measured, stated=not third))
     for formulation in ("centres",) if third else ("centres", "distances"):
-        result = command("identify", str(path), *options(artefact, tmp_path), "--formulation", formulation)
+        result = command(
+            "identify", str(path), *options(artefact, tmp_path), "--formulation", formulation, "--no-report"
+        )
         assert result["balls"] == sum(balls)
         assert result["chi2_normalised"] < 2.0
         assert result["rejected"] == []

@@ -61,7 +61,8 @@ def data() -> ReportData:
     offset = np.array(plain.tool_offset)
     measured = MeasuredRepeats({}, ())
     acceptance = predicted_tests(estimate_of(plain), table_for(plain), "a table", PlaceOfTests(offset), measured)
-    return replace(plain, acceptance=acceptance)
+    assert plain.identification is not None
+    return replace(plain, identification=replace(plain.identification, acceptance=acceptance))
 
 
 @pytest.fixture(scope="module")
@@ -184,8 +185,9 @@ def test_the_figures_are_those_of_the_report(root: etree._Element, data: ReportD
     figures = [
         one for one in root.iter(f"{{{PATHS['dcc']}}}quantity") if "volcal_acceptanceFigure" in one.get("refType", "")
     ]
-    assert data.acceptance is not None
-    tests = data.acceptance.all_tests
+    assert data.identification is not None
+    assert data.identification.acceptance is not None
+    tests = data.identification.acceptance.all_tests
     errors = [one.figure.without_table for one in tests] + [one.figure.with_table for one in tests]
     assert len(figures) == len(errors)
     for one, error, measure in zip(figures, errors, [one.test.feature.measure for one in tests] * 2, strict=True):

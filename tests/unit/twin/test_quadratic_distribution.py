@@ -16,7 +16,8 @@ from twin.identification import Estimate, Options, identify, predicted_vce
 from twin.machine.forward_model import deviation_basis, exact_deviation
 from twin.machine.volumetric import evaluation_grid
 from twin.uncertainty.quadratic_distribution import QuadraticDistribution, covariance_factor
-from twin.uncertainty.volumetric_distribution import volumetric_distributions
+from twin.uncertainty.scale_mixture import mixture_components
+from twin.uncertainty.volumetric_distribution import aligned_distributions, volumetric_distributions
 
 PROBABILITIES = (1e-4, 0.025, 0.3, 0.5, 0.8, 0.975, 1.0 - 1e-4)
 
@@ -237,6 +238,20 @@ def test_the_mean_square_is_that_of_the_prediction() -> None:
     predicted = predicted_vce(estimate, GRID, TOOL)
     assert expected.raw_mm == pytest.approx(predicted.raw_mm, rel=1e-6)
     assert expected.aligned_mm == pytest.approx(predicted.aligned_mm, rel=1e-6)
+
+
+def test_the_aligned_ones_alone_are_the_same_and_the_unresolved_misfit_is_a_constant() -> None:
+    estimate = estimated(0.001)
+    both, alone = volumetric_distributions(estimate, GRID, TOOL), aligned_distributions(estimate, GRID, TOOL)
+    for one, same, resolved in (
+        (both.ve.aligned, alone.ve, alone.resolved_ve),
+        (both.vce.aligned, alone.vce, alone.resolved_vce),
+    ):
+        assert (same.mean, same.variance) == pytest.approx((one.mean, one.variance), rel=1e-9)
+        assert same.at_most(one.mean) == pytest.approx(one.at_most(one.mean), rel=1e-9)
+        absent = [3.0 * part.unresolved_mm2 for part in mixture_components(estimate)]
+        assert same.mean - resolved.mean == pytest.approx(np.mean(absent), rel=1e-6)
+        assert resolved.mean < same.mean
 
 
 def test_points_that_are_no_grid_do_as_well() -> None:
