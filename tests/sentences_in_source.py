@@ -89,6 +89,8 @@ HOLDERS = frozenset(
 HOLDER = re.compile(rf"(^|_)({'|'.join(HOLDERS)})s?$")
 TELLING = re.compile(r"(^|_)(error|note|lost|refused|reason|fail|complain|invalid|inconsistent)$")
 """Names of functions that make an error or a note from a sentence."""
+VALUE = re.compile(r"(\{\w+\} )+(mm|µm)")
+"""Template of values with their unit, which is the same in each language."""
 WORDS = re.compile(r"[a-z]{2,}[^{}]* [^{}]*[a-z]{2,}|[a-z]{2,} \{|\}[^{}]* [a-z]{2,}", re.DOTALL)
 
 
@@ -127,7 +129,7 @@ def modules() -> list[Path]:
 def _of_tree(tree: ast.Module) -> Iterator[tuple[int, str]]:
     for expression in _telling(tree):
         for node, template in _templates(expression):
-            if WORDS.search(template):
+            if WORDS.search(template) and not VALUE.fullmatch(template):
                 yield node.lineno, template
 
 

@@ -84,10 +84,8 @@ def catalogue() -> dict[str, str]:
 
 @cache
 def _sentences() -> tuple[Sentence, ...]:
-    """Return the sentences, those with the most letters of their own first: they say most about a text. A sentence whose
-    words are the same in both languages, such as a value with its unit, says nothing and must not hide another."""
-    told = [Sentence(english, words) for english, words in catalogue().items() if english != words]
-    return tuple(sorted(told, key=lambda one: -one.letters))
+    """Return the sentences, those with the most letters of their own first: they say most about a text."""
+    return tuple(sorted((Sentence(*pair) for pair in catalogue().items()), key=lambda one: -one.letters))
 
 
 def as_it_is(text: str) -> str:

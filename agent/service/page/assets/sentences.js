@@ -13,7 +13,7 @@ const remembered = new Map(), MOST_REMEMBERED = 2000, DEEPEST = 8;
 
 export async function loadSentences() {
   catalogue = await (await fetch("/assets/german.json")).json();
-  sentences = Object.entries(catalogue).filter(([english, words]) => english !== words).map(sentenceOf).sort((one, other) => other.letters - one.letters);
+  sentences = Object.entries(catalogue).map(sentenceOf).sort((one, other) => other.letters - one.letters);
 }
 
 /* Returns a text of the service in the language of the page; what the catalogue does not have stays in English. */
