@@ -147,7 +147,7 @@ class StudyCase:
 
     @property
     def differences(self) -> str:
-        """What differs between the true machines and the identified ones, in words that follow their names."""
+        """Text that follows the names of the machines if the true machines differ from the identified ones."""
         other = f", true machines: {self.true_machine.name}" if self.true_machine else ""
         return other + (f", with {', '.join(map(str, self.effects))}" if self.effects else "")
 
