@@ -49,8 +49,9 @@ class ContactSolver:
     def first(self, path: StraightPath, snapshot: WorkpieceSnapshot, resting: int | None) -> Contact | None:
         """Return the first contact along `path`, or None if the tip reaches no ball.
 
-        `snapshot` contains the true ball centres. The ball with the number `resting`, which touches the tip at the
-        start of the path, is ignored.
+        `snapshot` contains the true ball centres. The ball with the number `resting`, which deflects the probe at the
+        start of the path, is ignored. A ball that the tip touches at the start without having tripped the probe is met
+        at a distance below zero if the path presses on.
         """
         first: Contact | None = None
         start = translate_point(path.start, self._shift.rigid)
@@ -61,7 +62,7 @@ class ContactSolver:
             # most balls.
             if not 0.0 < ahead <= within or ball == resting:
                 continue
-            distance = entry_distance(start, path, apparent, self._reach)
+            distance = _contact_distance(start, path, apparent, self._reach)
             if distance is not None and (first is None or distance < first.distance):
                 first = Contact(distance, ball)
         return self._refine(first, path, snapshot) if first and self._shift.has_field else first
@@ -122,7 +123,7 @@ class ContactSolver:
         # Second iteration: solve again with the deviation at the first solution.
         field = self._shift.field_at(path.at(contact.distance))
         start = translate_point(translate_point(path.start, self._tool), translate_point(self._shift.rigid, field))
-        distance = entry_distance(start, path, snapshot.balls[contact.ball], self._reach)
+        distance = _contact_distance(start, path, snapshot.balls[contact.ball], self._reach)
         return None if distance is None else Contact(distance, contact.ball)
 
     def _apparent(self, snapshot: WorkpieceSnapshot) -> Sequence[Point]:
@@ -139,6 +140,20 @@ class ContactSolver:
             points = [(x, y, z) for x, y, z in apparent.tolist()]
             self._near = cached = (snapshot, self._shift.table, points)
         return cached[2]
+
+
+def _contact_distance(tip: Point, path: StraightPath, centre: Point, reach: float) -> float | None:
+    """Return the distance along `path` at which a tip that starts at `tip` comes within `reach` of the point `centre`.
+
+    The distance is negative if the tip is within `reach` already and the path presses on: so far back would the contact
+    have been. None if the tip never comes within `reach`, or leaves.
+    """
+    inside = reach**2 - math.dist(tip, centre) ** 2
+    if inside <= 0.0:
+        return entry_distance(tip, path, centre, reach)
+    closing = _closing(tip, path.direction, centre)
+    # the smaller root of |tip + s d - c|² = reach², in the form without cancellation
+    return -inside / (math.sqrt(closing**2 + inside) - closing) if closing < 0.0 else None
 
 
 def _closing(tip: Point, direction: Point, centre: Point) -> float:

@@ -56,17 +56,17 @@ class PathLookahead:
                 return self._trip_on_body(command, snapshot, met, pressed, free_mm)
             return PathEvents(None, earliest(pressed, met), free_mm)
         if command.kind is MoveKind.POSITIONING:
-            met = tip_crash(snapshot.ball_names[contact.ball], contact.distance)
-            swept = self._first_collision(command, snapshot, contact.distance, resting)
+            met = tip_crash(snapshot.ball_names[contact.ball], max(contact.distance, 0.0))
+            swept = self._first_collision(command, snapshot, met.distance, resting)
             return PathEvents(None, earliest(pressed, met, swept), free_mm)
-        trip_mm = contact.distance + self._trigger.travel_mm(command.path.direction, touch)
+        trip_mm = max(contact.distance + self._trigger.travel_mm(command.path.direction, touch), 0.0)
         # Braking distance after the trip: v² / (2 a).
         stopped = trip_mm + 0.5 * command.speed**2 / command.acceleration
         # A probe that is pressed further than its overtravel breaks, even if the trip came in time.
         spent = tip_crash(snapshot.ball_names[contact.ball], contact.distance + self._trigger.overtravel_mm)
         # until the axes stand, since other bodies move on while they brake
         swept = self._first_collision(command, snapshot, stopped, contact.ball)
-        return PathEvents(max(trip_mm, 0.0), earliest(spent, swept), free_mm)
+        return PathEvents(trip_mm, earliest(spent, swept), free_mm)
 
     def _trip_on_body(
         self, command: MotionCommand, snapshot: WorkpieceSnapshot, met: Crash, pressed: Crash | None, free_mm: float

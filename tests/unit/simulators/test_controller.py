@@ -1,7 +1,9 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import worlds
-from worlds import REACH, before_ball, ideal_world, moved, run
+from worlds import REACH, before_ball, case_study, ideal_world, moved, run
 
 from drivers.errors import CommandRejected
 from drivers.roles import MotionState, Permission
@@ -174,6 +176,58 @@ def test_a_hold_brakes_and_a_resume_goes_on_to_the_same_latch() -> None:
     run(world)
     assert controller.latch is not None
     assert controller.latch.position == pytest.approx(centre - FORWARD * REACH, abs=1e-9)
+
+
+def late_probe() -> World:
+    """Return a world without errors whose probe trips 100 µm behind the contact."""
+    ideal = case_study().without_errors()
+    trigger = ideal.settings.trigger.model_copy(update={"pretravel_um": 100.0})
+    world = World(replace(ideal, settings=ideal.settings.model_copy(update={"trigger": trigger})))
+    world.place_artefact(2)
+    return world
+
+
+@pytest.mark.parametrize("guarded", [False, True])
+def test_a_tip_that_was_held_in_contact_before_the_trip_trips_as_it_goes_on(guarded: bool) -> None:
+    """Between contact and trip the probe is not deflected yet, and the ball is not open to the tip either."""
+    world = late_probe()
+    centre, controller = before_ball(world, 5), world.controller
+    if guarded:
+        controller.begin_move(centre, 5.0, guarded=True)
+    else:
+        controller.begin_touch(centre, 5.0)
+    # contact after 4.5 mm; a hold 10 µm behind it stands 35 µm behind it (v²/2a = 25 µm), before the trip at 100 µm
+    world.advance_to(world.now + 4.51 / 5.0 + 0.5 * 5.0 / 500.0)
+    controller.hold()
+    run(world)
+    assert controller.motion is MotionState.HELD
+    assert controller.displayed_position() == pytest.approx(centre - FORWARD * (REACH - 0.035), abs=1e-9)
+    assert not controller.probe_deflected
+    controller.resume()
+    run(world)
+    assert world.collisions == []
+    assert controller.probe_deflected
+    if guarded:
+        assert "probe tripped" in controller.fault
+    else:
+        assert controller.latch is not None
+        assert controller.latch.position == pytest.approx(centre - FORWARD * (REACH - 0.1), abs=1e-9)
+
+
+def test_a_tip_in_contact_before_the_trip_is_no_obstacle_to_itself() -> None:
+    """It backs off freely, and a positioning move that presses on is a collision at once."""
+    for away in (True, False):
+        world = late_probe()
+        centre, controller = before_ball(world, 5), world.controller
+        controller.begin_touch(centre, 5.0)
+        world.advance_to(world.now + 4.51 / 5.0 + 0.5 * 5.0 / 500.0)
+        controller.halt()
+        run(world)
+        at = controller.displayed_position()
+        controller.begin_move(at + FORWARD * (-5.0 if away else 5.0), 5.0, guarded=False)
+        run(world)
+        assert [(one.body_a, one.body_b) for one in world.collisions] == ([] if away else [("tip", "ball 5")])
+        assert away or controller.displayed_position() == pytest.approx(at, abs=1e-9)
 
 
 def test_a_motion_that_has_not_left_its_start_ends_with_the_hold_or_the_halt() -> None:
