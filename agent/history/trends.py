@@ -181,12 +181,14 @@ def _tolerance_alarm(trend: Trend, warn_probability: float) -> Iterable[TrendAla
     series, tolerance, drift, reach = trend.series, trend.series.tolerance, trend.drift, trend.crossing
     if tolerance is None:
         return
+    value = f"{series.values[-1]:.2f}"
     if _is_at(series, tolerance):
-        text = f"{_value_text(series)}: tolerance {tolerance:g} {series.unit} reached"
+        text = f"{series.title} is {value} {series.unit}: tolerance {tolerance:g} {series.unit} reached"
         yield TrendAlarm(series.name, AlarmKind.LIMIT, text, 0.0)
     elif drift is not None and trend.forecast is not None:
         if trend.forecast.within(trend.warn_nights) >= warn_probability:
-            text = _forecast_text(trend, drift, trend.forecast)
+            now = f"{series.title} amounts to {value} {series.unit}"
+            text = _forecast_text(_rate_text(series, drift) if drift.significant else now, trend, trend.forecast)
             yield TrendAlarm(series.name, AlarmKind.TREND, text, trend.forecast.nights_to(0.5))
     elif drift is not None and reach is not None and drift.significant and reach.expected <= trend.warn_nights:
         in_nights = max(math.floor(reach.expected), 0)
@@ -194,29 +196,24 @@ def _tolerance_alarm(trend: Trend, warn_probability: float) -> Iterable[TrendAla
         yield TrendAlarm(series.name, AlarmKind.TREND, text, reach.expected)
 
 
-def _value_text(series: Series) -> str:
-    return f"{series.title} is {series.values[-1]:.2f} {series.unit}"
-
-
 def _rate_text(series: Series, drift: Drift) -> str:
-    """Return the drift, or the newest value if there is no significant drift."""
-    if not drift.significant:
-        return _value_text(series)
-    rate, doubt = abs(drift.slope), drift.factor * drift.slope_sigma
-    verb = "grows" if drift.slope * drift.level > 0.0 else "changes"
-    return f"{series.title} {verb} by {rate:.2f} ± {doubt:.2f} {series.unit} per night"
+    rate, doubt = f"{abs(drift.slope):.2f}", f"{drift.factor * drift.slope_sigma:.2f}"
+    if drift.slope * drift.level > 0.0:
+        return f"{series.title} grows by {rate} ± {doubt} {series.unit} per night"
+    return f"{series.title} changes by {rate} ± {doubt} {series.unit} per night"
 
 
-def _forecast_text(trend: Trend, drift: Drift, forecast: LimitForecast) -> str:
-    """Return when the tolerance is reached, with the range of dates and the probability of the warning."""
+def _forecast_text(rate: str, trend: Trend, forecast: LimitForecast) -> str:
+    """Return the drift in words, `rate`, and when the tolerance is reached, with the range of dates and the probability of the warning."""
     low, middle, high = (
         "later" if date is None else f"{date:%Y-%m-%d}"
         for date in (trend.date_reached(probability) for probability in (LOW, 0.5, HIGH))
     )
-    share, nights = 100.0 * forecast.within(trend.warn_nights), trend.warn_nights
+    tolerance = f"{forecast.limit:g} {trend.series.unit}"
+    share, nights = f"{100.0 * forecast.within(trend.warn_nights):.0f}", f"{trend.warn_nights:g}"
     return (
-        f"{_rate_text(trend.series, drift)}: tolerance {forecast.limit:g} {trend.series.unit} will be reached about "
-        f"{middle} (5 to 95 %: {low} to {high}), {share:.0f} % within {nights:g} nights"
+        f"{rate}: tolerance {tolerance} will be reached about {middle} (5 to 95 %: {low} to {high}), {share} % within "
+        f"{nights} nights"
     )
 
 
