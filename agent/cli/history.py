@@ -279,7 +279,8 @@ def _compaction_table(compactions: Sequence[Compaction]) -> Table:
 
 
 def _trend_table(trends: tuple[Trend, ...]) -> Table:
-    table = columns_table(("series", "now", "a night (95 %)", "steps", "tolerance", "reached (5 to 95 %)", "soon"))
+    soon = f"within {trends[0].warn_nights:g} nights"
+    table = columns_table(("series", "now", "a night (95 %)", "steps", "tolerance", "reached (5 to 95 %)", soon))
     for trend in trends:
         series, drift = trend.series, trend.drift
         table.add_row(

@@ -31,6 +31,7 @@ from twin.monitoring.limit_forecast import HIGH, LOW, LimitForecast
 COVERAGE = 2.0
 _COLUMNS = 2
 _ROW_IN = 2.2
+_ABOVE = 1.08  # room above the tolerance
 _BEYOND = 1.1  # of the last date that is marked
 
 
@@ -116,7 +117,8 @@ def _ahead(panel: Axes, trend: Trend, forecast: LimitForecast) -> None:
     expected, last = forecast.nights_to(0.5), float(trend.series.nights[-1])
     if expected is None:
         return
-    panel.set_ylim(panel.get_ylim())  # a wide band would press the values together
+    low, high = panel.get_ylim()  # a wide band would press the values together
+    panel.set_ylim(low, max(high, _ABOVE * forecast.limit))
     end = min(forecast.horizon, _BEYOND * (forecast.nights_to(HIGH) or forecast.horizon))
     shown = forecast.nights <= end
     nights = last + forecast.nights[shown]

@@ -204,7 +204,8 @@ def _rate_text(series: Series, drift: Drift) -> str:
 
 
 def _forecast_text(rate: str, trend: Trend, forecast: LimitForecast) -> str:
-    """Return the drift in words, `rate`, and when the tolerance is reached, with the range of dates and the probability of the warning."""
+    """Return `rate`, the drift in words, and when the tolerance is reached, with the range of dates and the probability
+    within the nights of a warning."""
     low, middle, high = (
         "later" if date is None else f"{date:%Y-%m-%d}"
         for date in (trend.date_reached(probability) for probability in (LOW, 0.5, HIGH))
