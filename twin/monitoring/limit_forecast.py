@@ -119,9 +119,10 @@ def forecast_limit(
     ahead = SPANS_AHEAD * float(t[-1] - t[0]) * np.linspace(0.0, 1.0, _TIMES) ** 2  # denser in the near future
     nodes = _Nodes.of(_Filtered.of(t, y, u / np.sqrt(np.mean(u**2)), levels))
     slopes = nodes.slopes(ahead)
-    probability = _passage(limit - nodes.level, slopes, nodes.rate, ahead)
+    probability = passage_probability(limit - nodes.level, slopes, nodes.rate, ahead)
     if two_sided:
-        probability = np.minimum(probability + _passage(limit + nodes.level, -slopes, nodes.rate, ahead), 1.0)
+        below = passage_probability(limit + nodes.level, -slopes, nodes.rate, ahead)
+        probability = np.minimum(probability + below, 1.0)
     low, middle, high = np.quantile(nodes.values(ahead), (LOW, 0.5, HIGH), axis=0)
     return LimitForecast(float(limit), ahead, np.maximum.accumulate(probability.mean(axis=0)), low, middle, high)
 
@@ -231,7 +232,7 @@ class _Nodes:
         return found
 
 
-def _passage(room: Array, slope: Array, rate: Array, ahead: Array) -> Array:
+def passage_probability(room: Array, slope: Array, rate: Array, ahead: Array) -> Array:
     """Return the probability that a Brownian motion has reached `room` above its start within `ahead` nights.
 
     `slope` is its drift and `rate` its variance per night; the first three arguments have the shape (m,), `ahead` has

@@ -12,6 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 
 DAYS_A_YEAR = 365.25
 
@@ -24,9 +27,9 @@ class Season:
     nights and their values. `limit` is the tolerance of the absolute value in µm.
     """
 
-    true: np.ndarray
-    nights: np.ndarray
-    measured: np.ndarray
+    true: Array
+    nights: Array
+    measured: Array
     limit: float
 
     @property
@@ -35,7 +38,7 @@ class Season:
         beyond = np.flatnonzero(np.abs(self.true) >= self.limit)
         return float(beyond[0]) if beyond.size else float("inf")
 
-    def until(self, night: float) -> tuple[np.ndarray, np.ndarray]:
+    def until(self, night: float) -> tuple[Array, Array]:
         """Return the nights measured until then, and their values."""
         known = self.nights <= night
         return self.nights[known], self.measured[known]
@@ -64,7 +67,7 @@ def season(number: int) -> Season:
     return Season(true, nights[done], (true + errors)[done], float(rng.uniform(6.0, 14.0)))
 
 
-def _wear(rng: np.random.Generator, count: int) -> np.ndarray:
+def _wear(rng: np.random.Generator, count: int) -> Array:
     """Return the wear in µm in each of `count` nights: a broken line."""
     if rng.uniform() < 1.0 / 3.0:
         return np.zeros(count)
