@@ -1,24 +1,24 @@
 """Probability that a drifting value reaches its limit within a number of nights.
 
-The true value of night t is modelled as a line with constant slope plus a Brownian motion of variance q per night, and
-each measured value as the true value plus an error of variance r u_i², where u_i is the stated standard uncertainty:
+The true value is modelled as a Brownian motion of variance q per night with a slope that is itself a Brownian motion, of
+variance s per night, and each measured value as the true value plus an error of variance r u_i², where u_i is the stated
+standard uncertainty. At a step, the level begins anew.
 
-    μ(t + n) = μ(t) + slope n + √(q n) z,    y_i = μ(t_i) + √r u_i z_i.
-
-At a step, the level begins anew. Level and slope at the last night follow from a Kalman filter with a diffuse start
-(Harvey, Forecasting, Structural Time Series Models and the Kalman Filter, 1989, sections 3.2 and 3.4), for each of a
-row of ratios q / r. Each ratio has the probability that its likelihood gives it, with r integrated out under the prior
+Level and slope at the last night follow from a Kalman filter with a diffuse start (local linear trend: Harvey,
+Forecasting, Structural Time Series Models and the Kalman Filter, 1989, sections 2.3, 3.2 and 3.4), for each of a grid of
+ratios q / r and s / r. Each pair has the probability that its likelihood gives it, with r integrated out under the prior
 1 / r, so that level and slope have a Student t distribution (West & Harrison, Bayesian Forecasting and Dynamic Models,
-1997, section 4.5). All ratios are equally likely beforehand: the first one, 0, is a straight line with independent
-errors; the last one leaves next to no error of measurement.
+1997, section 4.5). All pairs are equally likely beforehand.
 
 Given level, slope and q, the time at which a Brownian motion with drift first reaches a limit has an inverse Gaussian
 distribution (Cox & Miller, The Theory of Stochastic Processes, 1965, section 5.7; Chhikara & Folks, The Inverse
-Gaussian Distribution, 1989). It is averaged over a lattice of `_NODES` values of ratio, r, level and slope, which is
-the same in every call (Niederreiter, Random Number Generation and Quasi-Monte Carlo Methods, 1992).
+Gaussian Distribution, 1989). The drift is the mean slope of the next n nights, which deviates from that of the last night
+with the variance s n / 3: the walk of the slope is replaced by a straight path to the same place. The distribution is
+averaged over a lattice of `_NODES` values of all unknowns, which is the same in every call (Niederreiter, Random Number
+Generation and Quasi-Monte Carlo Methods, 1992).
 
-The probability is that of the true value without the error of measurement of a later night. The slope is not known to
-remain: nothing is said about the time beyond `SPANS_AHEAD` times the observed span.
+The probability is that of the true value without the error of measurement of a later night. Nothing is said about the
+time beyond `SPANS_AHEAD` times the observed span.
 """
 
 from __future__ import annotations
@@ -47,7 +47,8 @@ LOW, HIGH = 0.05, 0.95
 _WALKS = np.concatenate(([0.0], np.geomspace(1e-3, 1e2, 6)))
 _TURNS = np.geomspace(1e-7, 1e-2, 6)
 _WALK, _TURN = (ratios.ravel() for ratios in np.meshgrid(_WALKS, _TURNS))
-"""Ratios q / r and s / r, shape (k,) each, for stated standard uncertainties whose root mean square is 1."""
+"""Ratios q / r and s / r, shape (k,) each, of one night and of stated standard uncertainties whose root mean square is 1.
+"""
 _NODES = 512
 _TIMES = 80
 _DIFFUSE = 1e8  # variance of the level before its first value, relative to r
@@ -146,10 +147,10 @@ def _used(y: Array, u: Array, levels: NDArray[np.intp]) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, eq=False)
 class _Filtered:
-    """Level and slope at the last night for each of k ratios q / r, each field with the shape (k,).
+    """Level and slope at the last night for each of k pairs of ratios q / r and s / r, each field with the shape (k,).
 
     The variances and the covariance are relative to `variance`, the estimate of r with `freedom` degrees of freedom.
-    `probability` is that of the ratio.
+    `probability` is that of the pair.
     """
 
     level: Array
@@ -196,8 +197,9 @@ class _Filtered:
 
 @dataclass(frozen=True, eq=False)
 class _Nodes:
-    """Equally likely values of the level and slope at the last night, of the variance q per night, and of the standard
-    normal deviation of a later value from its line, each with the shape (_NODES,)."""
+    """Equally likely values of the level and slope at the last night, of the variances per night q (`rate`) and s
+    (`turn`), and of the standard normal deviations of the mean slope of later nights (`turned`) and of a later value
+    from its line (`deviation`), each with the shape (_NODES,)."""
 
     level: Array
     slope: Array
@@ -235,8 +237,8 @@ class _Nodes:
 def passage_probability(room: Array, slope: Array, rate: Array, ahead: Array) -> Array:
     """Return the probability that a Brownian motion has reached `room` above its start within `ahead` nights.
 
-    `slope` is its drift and `rate` its variance per night; the first three arguments have the shape (m,), `ahead` has
-    the shape (k,), and the result the shape (m, k).
+    `room` and `rate`, its variance per night, have the shape (m,), `ahead` has the shape (k,). `slope`, its mean drift
+    over so many nights, and the result have the shape (m, k).
     """
     horizon = float(ahead[-1])
     moved = slope * ahead
