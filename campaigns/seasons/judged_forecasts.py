@@ -72,8 +72,8 @@ def forecasts(number: int) -> Iterable[Forecast]:
             continue
         found, last = trend.forecast, float(trend.series.nights[-1])
         probabilities = tuple(found.within(ahead) if ahead <= found.horizon else None for ahead in HORIZONS)
-        dates = (found.nights_to(probability) for probability in (LOW, 0.5, HIGH))
-        yield Forecast(probabilities, *dates, one.passed - last, len(one.true) - 1 - last)
+        low, middle, high = (found.nights_to(probability) for probability in (LOW, 0.5, HIGH))
+        yield Forecast(probabilities, low, middle, high, one.passed - last, len(one.true) - 1 - last)
 
 
 def calibration(judged: Sequence[Forecast]) -> list[dict[str, Any]]:

@@ -1,21 +1,21 @@
 """Probability that a drifting value reaches its limit within a number of nights.
 
-The true value is modelled as a Brownian motion of variance q per night with a slope that is itself a Brownian motion, of
-variance s per night, and each measured value as the true value plus an error of variance r u_i², where u_i is the stated
-standard uncertainty. At a step, the level begins anew.
+The true value is modelled as a Brownian motion of variance q per night with a slope that is itself a Brownian motion,
+of variance s per night, and each measured value as the true value plus an error of variance r u_i², where u_i is the
+stated standard uncertainty. At a step, the level begins anew.
 
 Level and slope at the last night follow from a Kalman filter with a diffuse start (local linear trend: Harvey,
-Forecasting, Structural Time Series Models and the Kalman Filter, 1989, sections 2.3, 3.2 and 3.4), for each of a grid of
-ratios q / r and s / r. Each pair has the probability that its likelihood gives it, with r integrated out under the prior
-1 / r, so that level and slope have a Student t distribution (West & Harrison, Bayesian Forecasting and Dynamic Models,
-1997, section 4.5). All pairs are equally likely beforehand.
+Forecasting, Structural Time Series Models and the Kalman Filter, 1989, sections 2.3, 3.2 and 3.4), for each of a grid
+of ratios q / r and s / r. Each pair has the probability that its likelihood gives it, with r integrated out under the
+prior 1 / r, so that level and slope have a Student t distribution (West & Harrison, Bayesian Forecasting and Dynamic
+Models, 1997, section 4.5). All pairs are equally likely beforehand.
 
 Given level, slope and q, the time at which a Brownian motion with drift first reaches a limit has an inverse Gaussian
 distribution (Cox & Miller, The Theory of Stochastic Processes, 1965, section 5.7; Chhikara & Folks, The Inverse
-Gaussian Distribution, 1989). The drift is the mean slope of the next n nights, which deviates from that of the last night
-with the variance s n / 3: the walk of the slope is replaced by a straight path to the same place. The distribution is
-averaged over a lattice of `_NODES` values of all unknowns, which is the same in every call (Niederreiter, Random Number
-Generation and Quasi-Monte Carlo Methods, 1992).
+Gaussian Distribution, 1989). The drift is the mean slope of the next n nights, which deviates from that of the last
+night with the variance s n / 3: the walk of the slope is replaced by a straight path to the same place. The
+distribution is averaged over a lattice of `_NODES` values of all unknowns, which is the same in every call
+(Niederreiter, Random Number Generation and Quasi-Monte Carlo Methods, 1992).
 
 The probability is that of the true value without the error of measurement of a later night. Nothing is said about the
 time beyond `SPANS_AHEAD` times the observed span.
@@ -47,8 +47,7 @@ LOW, HIGH = 0.05, 0.95
 _WALKS = np.concatenate(([0.0], np.geomspace(1e-3, 1e2, 6)))
 _TURNS = np.geomspace(1e-7, 1e-2, 6)
 _WALK, _TURN = (ratios.ravel() for ratios in np.meshgrid(_WALKS, _TURNS))
-"""Ratios q / r and s / r, shape (k,) each, of one night and of stated standard uncertainties whose root mean square is 1.
-"""
+"""Ratios q / r and s / r, shape (k,) each, per night, for standard uncertainties whose root mean square is 1."""
 _NODES = 512
 _TIMES = 80
 _DIFFUSE = 1e8  # variance of the level before its first value, relative to r
