@@ -1,4 +1,4 @@
-"""What would help most against the values that reach their tolerances: a mechanical action, or a new calibration."""
+"""Most helpful action against values that reach their tolerances: a mechanical one, or a new calibration."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _ROLLS = {"EAX", "EBY", "ECZ"}
 
 @dataclass(frozen=True)
 class HelpfulAction:
-    """What would help most, or why nothing does, in words.
+    """Most helpful action, or the reason why there is none, in words (`text`).
 
     `action` is the proposed mechanical action as in the JSON object of `volcal actions`; it is None if there is none.
     `run_id` is the run whose estimate proposes it, and `ve_um` the volumetric error without a table in µm, before and

@@ -14,7 +14,7 @@ import numpy as np
 
 from agent.history.series import Series
 from agent.history.trends import AlarmKind, Trend, trend_of
-from campaigns.seasons.machine_season import Season, season
+from campaigns.seasons.machine_season import MachineSeason, season
 from twin.monitoring.limit_forecast import HIGH, LOW
 from twin.units import S_PER_DAY
 
@@ -45,7 +45,7 @@ class Forecast:
     seen: float
 
 
-def trend_at(one: Season, night: float) -> Trend | None:
+def trend_at(one: MachineSeason, night: float) -> Trend | None:
     """Return the trend that the program shows in a night, None if there are too few runs or the tolerance seemed to be
     reached already."""
     nights, values = one.until(night)

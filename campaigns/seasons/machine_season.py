@@ -20,8 +20,8 @@ DAYS_A_YEAR = 365.25
 
 
 @dataclass(frozen=True, eq=False)
-class Season:
-    """Season of n nights of which m were measured.
+class MachineSeason:
+    """MachineSeason of n nights of which m were measured.
 
     `true`, shape (n,), is the true value of each night in µm. `nights` and `measured`, shape (m,), are the measured
     nights and their values. `limit` is the tolerance of the absolute value in µm.
@@ -44,7 +44,7 @@ class Season:
         return self.nights[known], self.measured[known]
 
 
-def season(number: int) -> Season:
+def season(number: int) -> MachineSeason:
     """Return the season with this number, which is the seed of all that differs between seasons."""
     rng = np.random.default_rng([8, number])
     count = int(rng.integers(240, 720))
@@ -64,7 +64,7 @@ def season(number: int) -> Season:
     errors = repeatability * rng.standard_t(5, count) * np.sqrt(3.0 / 5.0)
     outlying = rng.uniform(size=count) < rng.choice([0.0, 0.01, 0.03])
     errors = errors + outlying * rng.choice([-1.0, 1.0], count) * rng.uniform(4.0, 12.0, count) * repeatability
-    return Season(true, nights[done], (true + errors)[done], float(rng.uniform(6.0, 14.0)))
+    return MachineSeason(true, nights[done], (true + errors)[done], float(rng.uniform(6.0, 14.0)))
 
 
 def _wear(rng: np.random.Generator, count: int) -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from campaigns.seasons.judged_forecasts import FIRST, WARN_NIGHTS, Forecast, calibration, coverage, forecasts, trend_at
-from campaigns.seasons.machine_season import Season, season
+from campaigns.seasons.machine_season import MachineSeason, season
 
 SEASONS = 90
 SIGMAS = 3.0
@@ -42,7 +42,7 @@ def test_alarms_of_a_machine_that_does_not_wear_are_rare() -> None:
         rng = np.random.default_rng([10, number])
         nights = np.arange(180.0)
         level = 3.0 + 0.5 * number
-        one = Season(np.full(180, level), nights, level + 0.4 * rng.standard_normal(180), 8.0)
+        one = MachineSeason(np.full(180, level), nights, level + 0.4 * rng.standard_normal(180), 8.0)
         trends = [trend_at(one, night) for night in range(30, 180, 14)]
         assert not any(
             trend is not None and trend.forecast and trend.forecast.within(WARN_NIGHTS) > 0.5 for trend in trends

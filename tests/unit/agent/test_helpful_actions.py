@@ -1,4 +1,4 @@
-"""What helps most against a value that reaches its tolerance: the action of `volcal actions`, or why there is none."""
+"""Most helpful action against a value that reaches its tolerance: that of `volcal actions`, or why there is none."""
 
 from __future__ import annotations
 
