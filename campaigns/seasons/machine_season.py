@@ -21,7 +21,7 @@ DAYS_A_YEAR = 365.25
 
 @dataclass(frozen=True, eq=False)
 class MachineSeason:
-    """MachineSeason of n nights of which m were measured.
+    """Season of n nights of which m were measured.
 
     `true`, shape (n,), is the true value of each night in µm. `nights` and `measured`, shape (m,), are the measured
     nights and their values. `limit` is the tolerance of the absolute value in µm.
