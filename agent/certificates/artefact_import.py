@@ -45,7 +45,7 @@ class ImportedArtefact:
     """Artefact with the values of a certificate, the texts of its files by their names, and what must be known of it.
 
     `changes` are the other values that differ from those of the artefact file before, by their keys in it, each with
-    the value before and after. `moved_mm` is the largest distance of a ball from where it was in the artefact file before.
+    the value before and after. `moved_mm` is the largest distance of a ball from where it was in that file.
     """
 
     artefact: Artefact
