@@ -27,6 +27,7 @@ from agent.reports.digital_certificate import from_journal
 from agent.reports.digital_certificate.certificate_of_report import certificate_of_report
 from agent.reports.page import ReportData, VerificationFacts
 from agent.reports.page.error_table import error_rows
+from agent.reports.page.texts import ENGLISH
 from agent.results import run_verdict
 from agent.results.facts import Quantity
 from agent.results.gates import CERTIFICATE, Gate
@@ -265,7 +266,7 @@ def test_a_temperature_that_nobody_measured_is_no_condition(data: ReportData) ->
 def test_notes_that_are_left_out_are_counted(data: ReportData) -> None:
     many = tuple(f"warning {number} {'x' * 200}" for number in range(200))
     made = read(certificate_of_report(replace(data, warnings=many), settings(), DAY))
-    note = statements(made)["Note"]
+    note = statements(made)[ENGLISH["note"]]
     left = 200 - note.count("warning ")
     assert 0 < left < 200
     assert f"{left} further notes are left out here" in note
