@@ -16,10 +16,11 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat, load_pem_private_key
 from lxml import etree
 from signxml.algorithms import SignatureMethod
-from signxml.exceptions import InvalidCertificate, SignXMLException
+from signxml.exceptions import SignXMLException
 from signxml.signer import XMLSigner
 from signxml.verifier import SignatureConfiguration, VerifyResult, XMLVerifier
 
+from agent.certificates.signing_authority import check_authority
 from agent.files import translated
 from agent.printable import one_line
 from agent.settings.credentials import handed_over, open_mode
@@ -27,6 +28,10 @@ from drivers.errors import ConfigurationError, InputError
 from twin.formats.digital_certificate.xml_reading import DS, child, children, parse_xml
 
 _LONGEST_NAME: Final = 120
+_LONGEST_SUBJECT: Final = 80
+_MOST_REFERENCES: Final = 3  # the document, the properties of XAdES, and the key
+_MOST_TRANSFORMS: Final = 6
+_MOST_CERTIFICATES: Final = 10
 _FAILURES: Final = (
     SignXMLException, InvalidSignature, UnsupportedAlgorithm, etree.LxmlError,
     ValueError, LookupError, TypeError, AttributeError, AssertionError,
@@ -47,11 +52,13 @@ class Trust(Enum):
 @dataclass(frozen=True)
 class CheckedDocument:
     """Document whose signature was checked. `content` is what was signed, or the whole document if it is not signed.
-    `signer` is the subject of the signer's certificate with its fingerprint; it is empty if there is none."""
+    `signer` is the subject of the signer's certificate with its fingerprint, and `valid` the first and the last day of
+    its validity; they are empty and None if there is none."""
 
     content: bytes
     trust: Trust
     signer: str = ""
+    valid: tuple[datetime.date, datetime.date] | None = None
 
     @property
     def text(self) -> str:
@@ -64,7 +71,8 @@ def check_signature(content: bytes, source: str, trusted: Sequence[Path] = ()) -
 
     `trusted` are files with certificates (PEM) of signers, or of authorities that certify signers. A signature is
     always checked: InputError is raised if the document was changed since it was signed, or if the signature cannot be
-    checked. It is also raised if `trusted` is not empty and no trusted signer has signed the whole document.
+    checked. It is also raised if `trusted` is not empty and no trusted signer has signed the whole document. A signer's
+    certificate may have expired since: compare `valid` with the date of the document.
     """
     known = [certificate for path in trusted for certificate in _certificates(path)]
     with translated(InputError):
@@ -84,31 +92,52 @@ def check_signature(content: bytes, source: str, trusted: Sequence[Path] = ()) -
             hint="ask the laboratory for the certificate with its own signature alone",
             file=source,
         )
-    leaf = _embedded(signatures[0], source)
-    named = f"{one_line(leaf.subject.rfc4514_string(), _LONGEST_NAME)}, SHA-256 {leaf.fingerprint(SHA256()).hex()}"
-    signed = _signed_part(root.tag, _verified(content, leaf, source), source)
-    if leaf in known:
-        return CheckedDocument(signed, Trust.TRUSTED, named)
+    _check_size(signatures[0], source)
+    leaf, others, verified = _verified(content, _embedded(signatures[0], source), source)
+    subject = one_line(leaf.subject.rfc4514_string().replace(";", ","), _LONGEST_SUBJECT)
+    named = f"{subject}, SHA-256 {leaf.fingerprint(SHA256()).hex()}"
+    signed = _signed_part(root.tag, verified, source)
+    valid = leaf.not_valid_before_utc.date(), leaf.not_valid_after_utc.date()
     if not known:
-        return CheckedDocument(signed, Trust.UNKNOWN_SIGNER, named)
-    _check_chain(content, trusted, named, source)
-    return CheckedDocument(signed, Trust.TRUSTED, named)
+        return CheckedDocument(signed, Trust.UNKNOWN_SIGNER, named, valid)
+    if leaf not in known:
+        check_authority(leaf, others, known, named, source)
+    return CheckedDocument(signed, Trust.TRUSTED, named, valid)
 
 
-def _verified(content: bytes, leaf: x509.Certificate, source: str) -> list[VerifyResult]:
-    """Return what the signature covers, if it was made with the key of the certificate `leaf`. Its time of validity
-    does not matter here: the document was signed earlier."""
-    config = SignatureConfiguration(location="./", expect_references=False, verification_time=leaf.not_valid_before_utc)
-    try:
-        found = XMLVerifier().verify(content, x509_cert=leaf, expect_config=config)
-    except _FAILURES as error:
-        told = one_line(str(error) or type(error).__name__, _LONGEST_NAME)
-        raise InputError(
-            f"the signature is not valid: {told}",
-            hint="the document was changed or damaged after it was signed; ask for it again",
-            file=source,
-        ) from None
-    return found if isinstance(found, list) else [found]
+def _check_size(signature: etree._Element, source: str) -> None:
+    """Raise InputError if a signature has so many references that the document would be digested many times."""
+    for name, most in (("Reference", _MOST_REFERENCES), ("Transform", _MOST_TRANSFORMS)):
+        count = sum(1 for _ in signature.iter(f"{{{DS}}}{name}"))
+        if count > most:
+            raise InputError(
+                f"the signature has {count} elements {name}, and at most {most} are checked",
+                hint="ask the laboratory for the certificate with its own signature alone",
+                file=source,
+            )
+
+
+def _verified(
+    content: bytes, embedded: Sequence[x509.Certificate], source: str
+) -> tuple[x509.Certificate, list[x509.Certificate], list[VerifyResult]]:
+    """Return the embedded certificate with whose key the signature was made, the others, and what the signature covers.
+    The time of validity does not matter here: the document was signed earlier."""
+    told = ""
+    for leaf in embedded:
+        begin = leaf.not_valid_before_utc
+        config = SignatureConfiguration(location="./", expect_references=False, verification_time=begin)
+        try:
+            found = XMLVerifier().verify(content, x509_cert=leaf, expect_config=config)
+        except _FAILURES as error:
+            told = told or one_line(str(error) or type(error).__name__, _LONGEST_NAME)
+        else:
+            others = [one for one in embedded if one != leaf]
+            return leaf, others, found if isinstance(found, list) else [found]
+    raise InputError(
+        f"the signature is not valid: {told}",
+        hint="the document was changed or damaged after it was signed; ask for it again",
+        file=source,
+    )
 
 
 def _signed_part(tag: str, found: Sequence[VerifyResult], source: str) -> bytes:
@@ -119,38 +148,29 @@ def _signed_part(tag: str, found: Sequence[VerifyResult], source: str) -> bytes:
     raise InputError("the signature does not cover the whole document", file=source)
 
 
-def _check_chain(content: bytes, trusted: Sequence[Path], named: str, source: str) -> None:
-    """Raise InputError unless one of the files has the authority that certifies the signer."""
-    told = ""
-    for path in trusted:
-        try:
-            config = SignatureConfiguration(location="./", expect_references=False)
-            XMLVerifier().verify(content, ca_pem_file=str(path), expect_config=config)
-        except InvalidCertificate as error:
-            told = one_line(str(error), _LONGEST_NAME)
-        except _FAILURES as error:
-            told = one_line(str(error) or type(error).__name__, _LONGEST_NAME)
-        else:
-            return
-    raise InputError(
-        f"the signer is not trusted: {named}",
-        hint=f"pass the certificate of the signer or of its authority with --trusted ({told})",
-        file=source,
-    )
-
-
-def _embedded(signature: etree._Element, source: str) -> x509.Certificate:
-    """Return the first certificate in a signature, which is that of the signer."""
+def _embedded(signature: etree._Element, source: str) -> list[x509.Certificate]:
+    """Return the certificates in a signature: that of the signer, and those of authorities."""
     info = child(signature, DS, "KeyInfo")
-    data = None if info is None else child(info, DS, "X509Data")
-    held = None if data is None else child(data, DS, "X509Certificate")
-    if held is None:
+    held = [
+        one
+        for data in ([] if info is None else children(info, DS, "X509Data"))
+        for one in children(data, DS, "X509Certificate")
+    ]
+    if not held:
         raise InputError("the signature has no certificate of its signer", file=source)
-    body = "".join((held.text or "").split())
-    try:
-        return x509.load_pem_x509_certificate(
-            f"-----BEGIN CERTIFICATE-----\n{body}\n-----END CERTIFICATE-----\n".encode("ascii")
+    if len(held) > _MOST_CERTIFICATES:
+        raise InputError(
+            f"the signature has {len(held)} certificates, at most {_MOST_CERTIFICATES} are read", file=source
         )
+    try:
+        return [
+            x509.load_pem_x509_certificate(
+                f"-----BEGIN CERTIFICATE-----\n{''.join((one.text or '').split())}\n-----END CERTIFICATE-----\n".encode(
+                    "ascii"
+                )
+            )
+            for one in held
+        ]
     except (ValueError, UnsupportedAlgorithm) as error:
         told = one_line(str(error), _LONGEST_NAME)
         raise InputError(f"the certificate of the signer cannot be read: {told}", file=source) from None

@@ -41,10 +41,13 @@ CERTIFICATE = rf"""<?xml version="1.0" encoding="UTF-8"?>
 </dcc:digitalCalibrationCertificate>
 """.encode()
 
+_UNITS = (rb"\pico\metre\tothe{-99}", rb"\kilo\metre\tothe{4}\per\kilo\metre\tothe{3}", rb"\metre\tothe{2}\per\metre")
+
 
 def certificate_decoders() -> Iterator[Decoder]:
     """Yield the decoders of the content of a certificate and of its signature."""
-    yield Decoder("certificate of an artefact (XML)", [CERTIFICATE], lambda data: parse_certificate(data, "dcc.xml"))
+    seeds = [CERTIFICATE, *(CERTIFICATE.replace(rb"\milli\metre<", unit + b"<") for unit in _UNITS)]
+    yield Decoder("certificate of an artefact (XML)", seeds, lambda data: parse_certificate(data, "dcc.xml"))
     yield Decoder("signature of a certificate (XML)", [_signed()], lambda data: check_signature(data, "dcc.xml"))
 
 

@@ -28,6 +28,12 @@ well, the uncertainty exceeds the errors of the machines that the artefact is to
 TRACEABLE_PPM = 10.0
 """Largest relative standard uncertainty, in ppm, of the best-known length of an artefact that gives a scale."""
 
+REFERENCE_RANGE_C = (15.0, 25.0)
+"""Lowest and highest reference temperature in °C of a calibration."""
+
+MAX_CTE_PER_K = 1e-4
+"""Largest thermal expansion in 1/K of a solid, and its largest standard uncertainty."""
+
 _MAX_SCORE = 2.5
 _COVERAGE_FACTOR = 2.0
 _PER_PPM = 1e-6
@@ -169,12 +175,35 @@ def with_reference_length(balls: Array, covariance: Array, length: BallDistance)
     The update is Gaussian and linear along the line between the two balls. Raise DataError if the length contradicts
     the certificate, that is, if the score |E_n| of ISO 13528 (k = 2) exceeds 2.5.
     """
+    # h(b) = |b₂ - b₁| with the gradient a; gain K = Σa / (aᵀΣa + u²); b + K (length - h), Σ - K aᵀΣ
+    _, difference_mm, across, variance = _checked_length(balls, covariance, length)
+    moved = balls + (across * (difference_mm / variance)).reshape(-1, 3)
+    updated = covariance - np.multiply.outer(across, across) / variance
+    return np.asarray(moved), np.asarray(0.5 * (updated + updated.T))
+
+
+def with_reference_lengths(
+    balls: Array, covariance: Array, lengths: Sequence[BallDistance], length_covariance: Array
+) -> tuple[Array, Array]:
+    """Return the same as `with_reference_length` for M lengths at once with their covariance (M, M) in mm²."""
+    checked = [_checked_length(balls, covariance, length) for length in lengths]
+    gradients = np.stack([gradient for gradient, *_ in checked])
+    differences = np.array([difference for _, difference, *_ in checked])
+    # the same with matrices: gain K = ΣAᵀ (AΣAᵀ + V)⁻¹
+    across = covariance @ gradients.T
+    gain = np.linalg.solve(gradients @ across + length_covariance, across.T).T
+    updated = covariance - gain @ across.T
+    return np.asarray(balls + (gain @ differences).reshape(-1, 3)), np.asarray(0.5 * (updated + updated.T))
+
+
+def _checked_length(balls: Array, covariance: Array, length: BallDistance) -> tuple[Array, float, Array, float]:
+    """Return the derivatives (3N,) of a length, its difference in mm from that of the centres, the derivatives times
+    the covariance, and the variance in mm² of the difference. Raise DataError as `with_reference_length` does."""
     first, second = length.balls
     _check_ball(first, len(balls))
     _check_ball(second, len(balls))
     if first == second:
         raise DataError(f"a reference length needs two different balls, not ball {first} twice")
-    # h(b) = |b₂ - b₁| with the gradient a; gain K = Σa / (aᵀΣa + u²); b + K (length - h), Σ - K aᵀΣ
     gradient, certified_mm = _gradient(balls, first, second)
     across = covariance @ gradient
     variance = float(gradient @ across) + length.standard_uncertainty_mm**2
@@ -188,9 +217,7 @@ def with_reference_length(balls: Array, covariance: Array, length: BallDistance)
             "length_standard_uncertainty_ppm: the reference length then corrects it. If one ball is in doubt, list it "
             "in uncertified_balls",
         )
-    moved = balls + (across * (difference_mm / variance)).reshape(-1, 3)
-    updated = covariance - np.multiply.outer(across, across) / variance
-    return np.asarray(moved), np.asarray(0.5 * (updated + updated.T))
+    return gradient, difference_mm, across, variance
 
 
 def _gradient(balls: Array, first: int, second: int) -> tuple[Array, float]:

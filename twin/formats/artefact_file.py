@@ -20,6 +20,8 @@ from twin.arrays import Array
 from twin.artefact.artefact import Artefact, bar_balls
 from twin.artefact.artefact_body import ArtefactBody, Beam, Rod, Vector, check_part_name, cover_box, vector
 from twin.artefact.certificate import (
+    MAX_CTE_PER_K,
+    REFERENCE_RANGE_C,
     BallDistance,
     end_balls,
     with_length_uncertainty,
@@ -124,9 +126,11 @@ class ArtefactDocument(StrictModel):
 
     name: Annotated[str, Field(min_length=1)]
     certificate: str = "nominal, not calibrated"
-    reference_temperature_c: float = REFERENCE_TEMPERATURE_C
-    cte_per_k: Annotated[float, Field(ge=-1e-4, le=1e-4)]
-    cte_standard_uncertainty_per_k: Annotated[float, Field(ge=0.0, le=1e-4)]
+    reference_temperature_c: Annotated[float, Field(ge=REFERENCE_RANGE_C[0], le=REFERENCE_RANGE_C[1])] = (
+        REFERENCE_TEMPERATURE_C
+    )
+    cte_per_k: Annotated[float, Field(ge=-MAX_CTE_PER_K, le=MAX_CTE_PER_K)]
+    cte_standard_uncertainty_per_k: Annotated[float, Field(ge=0.0, le=MAX_CTE_PER_K)]
     ball_diameter_mm: Annotated[float, Field(gt=0.0)]
     balls: Annotated[list[Coordinates], Field(min_length=2)] | None = None
     bar: BarSection | None = None

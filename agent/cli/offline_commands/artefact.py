@@ -79,4 +79,6 @@ def import_command(
         f"{found.artefact.count} balls, largest standard uncertainty {found.largest_uncertainty_um:.2f} µm, "
         f"largest change {1e3 * found.moved_mm:.1f} µm"
     )
+    for key, before, after in found.changes:
+        click.echo(f"{key}: {before:g} → {after:g}")
     click.echo("\n".join(written))

@@ -15,12 +15,15 @@ from agent.reports.digital_certificate.elements import (
     add_identifications,
     add_said,
     add_software,
+    add_translated,
     add_words,
 )
 from agent.reports.page.data import IdentificationData, ReportData
 from agent.reports.page.document_head import calibration_notes, listed_instruments, report_number
 from agent.reports.page.identity import validity
 from agent.reports.page.texts import Texts
+from agent.results.gates import GATE_RULES
+from agent.results.run_verdict import ACCEPTED, CONFIRMED, FUSED, MEASURED, OUT, WITHIN
 from agent.settings.report import Laboratory, MachineIdentity, ReportSettings
 from drivers.errors import ConfigurationError
 
@@ -36,13 +39,16 @@ MEANINGS: Final = {
     "tolerance": "tolerance of a quantity",
 }
 """Meaning of each `refType` that the program defines, without its prefix."""
+_MEASURED: Final = (ACCEPTED, CONFIRMED, FUSED, WITHIN, OUT, MEASURED)
 
 
 def completed(document: ReportSettings, now: ReportSettings) -> ReportSettings:
-    """Return the document data of a run with what they do not state taken from the settings `now`. The laboratory that
-    issues the certificate is always that of `now`."""
-    names = ("customer", "place", "operator", "measured_by", "approved_by", "number_prefix")
-    head = {name: getattr(now, name) for name in names if getattr(document, name) is None}
+    """Return the document data of a run with customer and machine, if it does not state them, taken from the settings
+    `now`. The laboratory that issues the certificate is always that of `now`.
+
+    Number, place and persons are those of the run alone: the present ones may be others.
+    """
+    head = {"customer": now.customer} if document.customer is None else {}
     stated = document.machine.model_dump(exclude_none=True)
     machine = MachineIdentity(**(now.machine.model_dump(exclude_none=True) | stated))
     return document.model_copy(update={**head, "machine": machine, "laboratory": now.laboratory})
@@ -54,7 +60,7 @@ def check_complete(document: ReportSettings) -> None:
     if missing:
         raise ConfigurationError(
             f"a digital certificate needs what the settings do not state: {', '.join(missing)}",
-            hint="state it in the section [report]",
+            hint="state it in the section [report]. Persons must be stated there before the run begins",
             key=missing[0],
         )
 
@@ -70,6 +76,17 @@ def _missing(document: ReportSettings) -> Iterator[str]:
         yield "report.machine.serial_number"
     if document.measured_by is None and document.approved_by is None:
         yield "report.measured_by"
+
+
+def may_state_conformity(data: ReportData) -> bool:
+    """Return True if the run measured what it was to measure. A run that was refused, stopped or not proved has results
+    that no tolerance is compared with."""
+    return data.header.verdict is None or data.header.verdict in _MEASURED
+
+
+def was_measured(found: IdentificationData) -> bool:
+    """Return True unless the temperature of the artefact is one that nobody measured."""
+    return found.thermometer is None or found.thermometer.was_read
 
 
 def add_administration(
@@ -162,12 +179,18 @@ def _add_persons(head: etree._Element, stated: ReportSettings) -> None:
 
 
 def _add_statements(head: etree._Element, data: ReportData, found: IdentificationData, t: Texts) -> None:
-    """Add what must be known of the results: coverage, accreditation, validity and notes."""
+    """Add what must be known of the results: verdict, coverage, decision rule, accreditation, validity and notes."""
     statements = add(head, "statements")
+    _add_verdict(statements, data)
     coverage = add(statements, "statement")
     add_words(coverage, "name", "Uncertainty")
     add(coverage, "norm", "JCGM 100:2008")
     add_words(coverage, "declaration", t["convention"])
+    if data.document.tolerances and may_state_conformity(data):
+        rule = add(statements, "statement")
+        add_words(rule, "name", "Decision rule")
+        add(rule, "norm", "ISO 14253-1")
+        add_words(rule, "declaration", t["decision_rule"])
     if data.document.laboratory.code is None:
         issuer = add(statements, "statement")
         add_words(issuer, "name", "Accreditation")
@@ -177,12 +200,36 @@ def _add_statements(head: etree._Element, data: ReportData, found: Identificatio
             "The issuer does not state an accreditation. This document is not a calibration certificate of an "
             "accredited laboratory.",
         )
-    notes = (*calibration_notes(data, t), *data.warnings)
+    notes = [*calibration_notes(data, t), *data.warnings]
+    if found.thermometer is not None and not was_measured(found):
+        unread = found.thermometer.warning
+        notes += [unread] if unread is not None and unread not in notes else []
     for title, sentences in ((t["validity"], validity(data, found)), (t["note"], notes)):
         if sentences:
             one = add(statements, "statement")
             add_words(one, "name", title)
             add_words(one, "declaration", *sentences)
+
+
+def _add_verdict(statements: etree._Element, data: ReportData) -> None:
+    """Add how the run ended, and each limit that it did not meet."""
+    verdict = data.header.verdict
+    if verdict is not None:
+        one = add(statements, "statement")
+        add_translated(one, "name", verdict.word)
+        add_translated(one, "declaration", verdict.sentence)
+    remarks = []
+    if data.document.tolerances and not may_state_conformity(data):
+        remarks.append("No conformity with a tolerance is stated, because of how the run ended.")
+    remarks += [
+        f"The limit of the {GATE_RULES[gate.name].title} was not met: {gate.text}"
+        for gate in data.gates
+        if not gate.passed
+    ]
+    if remarks:
+        one = add(statements, "statement")
+        add_words(one, "name", "Limitations of the results")
+        add_words(one, "declaration", *remarks)
 
 
 def add_equipment(results: etree._Element, data: ReportData, t: Texts) -> None:

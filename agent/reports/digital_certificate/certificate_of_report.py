@@ -32,12 +32,12 @@ def certificate_of_report(
 ) -> bytes:
     """Return the certificate of a calibration as XML text (UTF-8).
 
-    All texts are in English and German; `language` is the one that counts. What the document data of the run do not
-    state is taken from `settings`, which also name the laboratory that issues the certificate. `pdf` is the report for
+    All texts are in English and German; `language` is the one that counts. Customer and machine are taken from
+    `settings` if the document data of the run do not state them, and the laboratory always is. `pdf` is the report for
     people, which becomes a part of it. Without a `signer` it is not signed.
 
-    Raises InputError if the run has no estimate, and ConfigurationError if the settings do not state what a certificate
-    must state.
+    Raises InputError if the run has no estimate or ended after `issued`, and ConfigurationError if the settings do not
+    state what a certificate must state.
     """
     found = data.identification
     if found is None:
@@ -45,6 +45,13 @@ def certificate_of_report(
             "the run has no result that can be certified",
             run=data.header.run_id,
             hint="name a calibration that has identified the errors of the machine",
+        )
+    ended = datetime.date.fromisoformat(data.header.timestamp[:10])
+    if issued < ended:
+        raise InputError(
+            f"the certificate would be issued on {issued}, before the end of the run on {ended}",
+            run=data.header.run_id,
+            hint="check the clock of this computer",
         )
     document = completed(data.document, settings)
     check_complete(document)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Final
 
 from lxml import etree
@@ -20,6 +20,7 @@ COVERAGE_FACTOR, COVERAGE_PROBABILITY = "2", "0.95"
 
 _INSTANCE: Final = "http://www.w3.org/2001/XMLSchema-instance"
 _LONGEST: Final = 20_000
+_LONGEST_REMARK: Final = 200
 _DECIMALS: Final = 4
 
 
@@ -40,11 +41,26 @@ def add(parent: etree._Element, name: str, text: str | None = None, **attributes
 
 
 def add_words(parent: etree._Element, name: str, *sentences: str, **attributes: str) -> etree._Element:
-    """Add an element with sentences of the program, which make one text in English and one in German."""
+    """Add an element with sentences of the program, which make one text in English and one in German. If a text would
+    be too long, the last sentences are left out, and their number is stated."""
+    shown = list(sentences)
+    while sum(max(len(one), len(german(one))) + 2 for one in shown) > _LONGEST - _LONGEST_REMARK and len(shown) > 1:
+        shown.pop()
+    left_out = len(sentences) - len(shown)
+    if left_out:
+        shown.append(f"{left_out} further notes are left out here; they are in the report of the run.")
     element = add(parent, name, **attributes)
     for language in LANGUAGES:
-        told = (sentence if language == "en" else german(sentence) for sentence in sentences)
-        add(element, "content", " ".join(_ended(one) if len(sentences) > 1 else one for one in told), lang=language)
+        told = (sentence if language == "en" else german(sentence) for sentence in shown)
+        add(element, "content", " ".join(_ended(one) if len(shown) > 1 else one for one in told), lang=language)
+    return element
+
+
+def add_translated(parent: etree._Element, name: str, texts: Mapping[str, str]) -> etree._Element:
+    """Add an element with one text for each language."""
+    element = add(parent, name)
+    for language in LANGUAGES:
+        add(element, "content", texts[language], lang=language)
     return element
 
 
@@ -83,12 +99,18 @@ def add_software(parent: etree._Element, version: str) -> None:
 
 
 def add_real(
-    parent: etree._Element, value: float, unit: str, expanded: float | None = None, limits: Quantity | None = None
+    parent: etree._Element,
+    value: float,
+    unit: str,
+    expanded: float | None = None,
+    limits: Quantity | None = None,
+    *,
+    is_normal: bool = True,
 ) -> None:
     """Add a value with its unit (a key of UNITS).
 
     Its uncertainty is `expanded` (k = 2), or the 95 % limits and the standard uncertainty of `limits`. It has none if
-    both are None.
+    both are None. `is_normal` is False for a value whose distribution is not normal, such as a range.
     """
     real = _si(parent, "real")
     _si(real, "value", _number(value))
@@ -104,7 +126,8 @@ def add_real(
         _si(doubt, "valueExpandedMU", _number(expanded))
         _si(doubt, "coverageFactor", COVERAGE_FACTOR)
         _si(doubt, "coverageProbability", COVERAGE_PROBABILITY)
-        _si(doubt, "distribution", "normal")
+        if is_normal:
+            _si(doubt, "distribution", "normal")
 
 
 def _si(parent: etree._Element, name: str, text: str | None = None) -> etree._Element:

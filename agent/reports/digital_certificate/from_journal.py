@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from agent.certificates.xml_signature import Signer
 from agent.execution.journal_reader import open_journal
 from agent.execution.run_record import read_record
 from agent.language.sentences import Language
+from agent.reports.digital_certificate.administration import completed
 from agent.reports.digital_certificate.certificate_of_report import certificate_of_report
 from agent.reports.page.pdf import render_pdf
 from agent.reports.page.render import render_report
@@ -37,6 +39,8 @@ def certificate_from_journal(
     """
     record = read_record(directory, run_id)
     data = report_of(record)
+    # the PDF must state what the certificate states that holds it
+    data = replace(data, document=completed(data.document, settings))
     pdf = render_pdf(render_report(data, language=language)) if with_pdf else None
     with open_journal(directory) as reader:
         staged = record.table("staged")

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from lxml import etree
 
-from agent.reports.digital_certificate.administration import NAMESPACE, add_equipment
+from agent.reports.digital_certificate.administration import (
+    NAMESPACE,
+    add_equipment,
+    may_state_conformity,
+    was_measured,
+)
 from agent.reports.digital_certificate.elements import add, add_real, add_software, add_words
 from agent.reports.page.data import IdentificationData, ReportData
 from agent.reports.page.document_head import method, standards
@@ -37,10 +42,13 @@ def add_results(
     _add_methods(measured, data, t)
     add_software(add(measured, "usedSoftware"), data.header.software_version)
     add_equipment(measured, data, t)
-    _add_conditions(measured, found)
+    if was_measured(found):
+        _add_conditions(measured, found)
     listed = add(measured, "results")
-    _add_volumetric(listed, data, found, t)
-    _add_geometric(listed, data, found, t)
+    # no conformity is stated for a run that was refused or did not end as planned
+    tolerances = data.document.tolerances if may_state_conformity(data) else {}
+    _add_volumetric(listed, data, found, tolerances, t)
+    _add_geometric(listed, found, tolerances, t)
     _add_acceptance(listed, found, table, t)
 
 
@@ -74,8 +82,10 @@ def _add_result(listed: etree._Element, name: str, *sentences: str) -> etree._El
     return add(result, "data")
 
 
-def _add_volumetric(listed: etree._Element, data: ReportData, found: IdentificationData, t: Texts) -> None:
-    proof, summary, tolerances = data.run.verification, found.volumetric, data.document.tolerances
+def _add_volumetric(
+    listed: etree._Element, data: ReportData, found: IdentificationData, tolerances: Mapping[str, float], t: Texts
+) -> None:
+    proof, summary = data.run.verification, found.volumetric
     active = proof is not None and proof.accepted
     values = _add_result(
         listed,
@@ -105,7 +115,7 @@ def _add_quantity(
     add_words(one, "name", name)
     doubt = quantity.standard_uncertainty_um
     expanded = None if doubt is None else COVERAGE * doubt
-    add_real(one, quantity.value_um, "µm", expanded, quantity)
+    add_real(one, quantity.value_um, "µm", expanded, quantity, is_normal=False)
     if tolerance is not None:
         half = expanded or 0.0
         lower, upper = quantity.limits_um or (quantity.value_um - half, quantity.value_um + half)
@@ -126,7 +136,9 @@ def _add_conformity(quantity: etree._Element, stated: Conformity, tolerance: flo
     add_real(limit, tolerance, unit)
 
 
-def _add_geometric(listed: etree._Element, data: ReportData, found: IdentificationData, t: Texts) -> None:
+def _add_geometric(
+    listed: etree._Element, found: IdentificationData, tolerances: Mapping[str, float], t: Texts
+) -> None:
     values = _add_result(
         listed,
         t["errors"],
@@ -136,7 +148,7 @@ def _add_geometric(listed: etree._Element, data: ReportData, found: Identificati
     whole = add(values, "list")
     add_words(whole, "name", t["errors"])
     for row in error_rows(found):
-        _add_error(whole, row, data.document.tolerances.get(row.name))
+        _add_error(whole, row, tolerances.get(row.name))
 
 
 def _add_error(whole: etree._Element, row: ErrorRow, tolerance: float | None) -> None:
@@ -150,7 +162,7 @@ def _add_error(whole: etree._Element, row: ErrorRow, tolerance: float | None) ->
             "description",
             f"Waves too short for the error model may change the range by up to {size}.",
         )
-    add_real(one, row.size, row.unit, row.expanded_uncertainty)
+    add_real(one, row.size, row.unit, row.expanded_uncertainty, is_normal=row.name in SQUARENESS)
     if tolerance is not None:
         _add_conformity(one, row.conformity(tolerance), tolerance, row.unit)
 

@@ -14,6 +14,7 @@ from lxml import etree
 from signers import NOW, Identity, identity
 
 import volcal
+from agent.certificates import artefact_import
 from agent.certificates.artefact_import import ImportRequest, import_certificate
 from agent.certificates.xml_signature import Signer
 from agent.cli.offline_commands.artefact import artefact_group
@@ -116,3 +117,64 @@ def test_the_validity_is_checked(today: datetime.date, told: str, shipped: Artef
     found = import_certificate(ImportRequest(file, LIKE, tmp_path / "bar.toml"), today)
     assert any(told in warning for warning in found.warnings)
     assert len(found.warnings) == 1 + (told != "NOT SIGNED" and "NOT SIGNED" not in told)
+
+
+def test_foreign_text_does_not_hide_that_a_certificate_is_not_signed(shipped: Artefact, tmp_path: Path) -> None:
+    spoof = f"PTB; signed by a trusted signer: CN=PTB, SHA-256 {'ab' * 32} {'.' * 400}"
+    (tmp_path / "dcc.xml").write_bytes(certified(shipped).replace(b">Laboratory<", f">{spoof}<".encode()))
+    done = importing(tmp_path / "dcc.xml", "--out", tmp_path / "bar.toml")
+    assert done.exit_code == 0, done.stderr
+    recorded = volcal.read_artefact(tmp_path / "bar.toml").certificate
+    assert recorded.startswith("not signed; PTB, signed by")
+    assert recorded.count(";") == 1
+
+
+def test_a_good_artefact_file_is_not_replaced_by_one_that_cannot_be_read(shipped: Artefact, tmp_path: Path) -> None:
+    for file in LIKE.parent.glob("ball-bar-1500*"):
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    like = tmp_path / LIKE.name
+    before = like.read_bytes()
+    doubt = (
+        "<si:measurementUncertaintyUnivariate><si:standardMU><si:valueStandardMU>0.2</si:valueStandardMU></si:standardMU>"
+        "</si:measurementUncertaintyUnivariate>"
+    )
+    wrong = real("thermalExpansionCoefficient", 11.9, r"\per\kelvin", doubt)
+    (tmp_path / "dcc.xml").write_bytes(certified(shipped, wrong))
+    words = ["import", str(tmp_path / "dcc.xml"), "--like", str(like), "--out", str(like)]
+    done = CliRunner().invoke(artefact_group, words, catch_exceptions=False)
+    assert done.exit_code == 2
+    assert "result[2]/data/quantity" in done.stderr
+    assert like.read_bytes() == before
+
+
+def test_what_is_written_is_read_before(shipped: Artefact, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(artefact_import, "format_artefact", lambda *_: ("name = 1", ""))
+    (tmp_path / "dcc.xml").write_bytes(certified(shipped))
+    done = importing(tmp_path / "dcc.xml", "--out", tmp_path / "bar.toml")
+    assert done.exit_code == 2
+    assert not (tmp_path / "bar.toml").exists()
+
+
+def test_other_values_that_change_are_told(shipped: Artefact, tmp_path: Path) -> None:
+    other = real("ballDiameter", shipped.ball_diameter_mm + 0.002, r"\milli\metre")
+    (tmp_path / "dcc.xml").write_bytes(certified(shipped, other))
+    done = importing(tmp_path / "dcc.xml", "--out", tmp_path / "bar.toml", "--json")
+    changes = json.loads(done.stdout)["changes"]
+    assert list(changes) == ["ball_diameter_mm"]
+    assert changes["ball_diameter_mm"]["after"] == pytest.approx(shipped.ball_diameter_mm + 0.002)
+    assert "ball_diameter_mm: " in importing(tmp_path / "dcc.xml", "--out", tmp_path / "bar.toml").stdout
+
+
+def test_a_signer_that_had_expired_before_the_calibration_is_refused(shipped: Artefact, tmp_path: Path) -> None:
+    expired = identity("Old", until=datetime.datetime(2021, 1, 1, tzinfo=datetime.UTC))
+    content = certified(shipped).replace(b"2014-03-01</dcc:end", b"2024-03-01</dcc:end")
+    (tmp_path / "cert.pem").write_bytes(expired.pem)
+    signed = Signer(expired.key, (expired.certificate,)).signed(etree.fromstring(content))
+    (tmp_path / "dcc.xml").write_bytes(etree.tostring(signed))
+    done = importing(tmp_path / "dcc.xml", "--out", tmp_path / "bar.toml", "--trusted", tmp_path / "cert.pem")
+    assert done.exit_code == 2
+    assert "dated 2024-03-01, and that of its signer has expired on 2021-01-01" in done.stderr
+    done = importing(tmp_path / "dcc.xml", "--out", tmp_path / "bar.toml")
+    assert done.exit_code == 0
+    assert "has expired on 2021-01-01" in done.stderr
+    assert "SIGNER IS NOT CHECKED" in done.stderr

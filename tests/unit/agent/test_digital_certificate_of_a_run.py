@@ -6,10 +6,12 @@ import base64
 import datetime
 import os
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,11 +23,17 @@ from signers import NOW, identity
 from test_report import estimate_of, report_data
 
 from agent.certificates.xml_signature import CREDENTIAL, Signer, Trust, check_signature, signer_of
+from agent.reports.digital_certificate import from_journal
 from agent.reports.digital_certificate.certificate_of_report import certificate_of_report
 from agent.reports.page import ReportData, VerificationFacts
 from agent.reports.page.error_table import error_rows
+from agent.reports.page.texts import ENGLISH
+from agent.results import run_verdict
 from agent.results.facts import Quantity
+from agent.results.gates import CERTIFICATE, Gate
+from agent.results.run_verdict import RunVerdict
 from agent.settings.report import ReportSettings
+from agent.thermal.thermometer import ThermometerFacts
 from agent.workpiece.measured_repeats import MeasuredRepeats
 from agent.workpiece.predicted_tests import PlaceOfTests, predicted_tests
 from drivers.errors import ConfigurationError, InputError
@@ -211,6 +219,95 @@ def test_conformity_is_stated_as_in_the_report(root: etree._Element, data: Repor
     plain = read(certificate_of_report(data, settings(), DAY))
     assert texts(quantity(plain, "volcal_volumetricCompensatedError"), ".//dcc:metaData") == []
     assert "predicted: the table was not active" in etree.tostring(plain, encoding="unicode")
+
+
+def statements(root: etree._Element) -> dict[str, str]:
+    """Return the English name and declaration of each statement."""
+    found = root.findall("dcc:administrativeData/dcc:statements/dcc:statement", PATHS)
+    english = "dcc:content[@lang='en']"
+    return {
+        texts(one, f"dcc:name/{english}")[0]: (texts(one, f"dcc:declaration/{english}") or [""])[0] for one in found
+    }
+
+
+@pytest.mark.parametrize("verdict", [run_verdict.REFUSED, run_verdict.ABORTED, run_verdict.PROOF_FAILED])
+def test_no_conformity_is_stated_for_a_run_that_did_not_end_well(verdict: RunVerdict, data: ReportData) -> None:
+    gate = Gate(CERTIFICATE, False, 3.0, 1.0, "ball 3 contradicts its certificate")
+    bad = replace(data, header=replace(data.header, verdict=verdict), gates=(gate,))
+    made = read(certificate_of_report(bad, settings(), DAY))
+    assert list(complaints(made)) == []
+    assert texts(made, ".//dcc:conformity") == []
+    told = statements(made)
+    assert told[verdict.word["en"]] == verdict.sentence["en"]
+    assert "No conformity with a tolerance is stated" in told["Limitations of the results"]
+    assert "ball 3 contradicts its certificate" in told["Limitations of the results"]
+    assert verdict.sentence["de"] in etree.tostring(made, encoding="unicode")
+
+
+def test_the_decision_rule_is_stated_with_a_conformity(root: etree._Element, data: ReportData) -> None:
+    assert "guard band of U" in statements(root)["Decision rule"]
+    without = settings(tolerances={})
+    assert "Decision rule" not in statements(read(certificate_of_report(replace(data, document=without), without, DAY)))
+
+
+def test_a_temperature_that_nobody_measured_is_no_condition(data: ReportData) -> None:
+    assert data.identification is not None
+    unread = ThermometerFacts(1.0, False, False, 11.5, 3.0, 2.0)
+    made = read(
+        certificate_of_report(
+            replace(data, identification=replace(data.identification, thermometer=unread)), settings(), DAY
+        )
+    )
+    assert list(complaints(made)) == []
+    assert list(made.iter(f"{{{PATHS['dcc']}}}influenceCondition")) == []
+    assert "The temperature of the artefact was not measured" in etree.tostring(made, encoding="unicode")
+
+
+def test_notes_that_are_left_out_are_counted(data: ReportData) -> None:
+    many = tuple(f"warning {number} {'x' * 200}" for number in range(200))
+    made = read(certificate_of_report(replace(data, warnings=many), settings(), DAY))
+    note = statements(made)[ENGLISH["note"]]
+    left = 200 - note.count("warning ")
+    assert 0 < left < 200
+    assert f"{left} further notes are left out here" in note
+
+
+def test_a_range_is_not_said_to_be_normal(root: etree._Element) -> None:
+    assert texts(quantity(root, "iso230-1_EXX"), ".//si:distribution") == []
+    assert texts(quantity(root, "iso230-1_C0Y"), ".//si:distribution") == ["normal"]
+
+
+def test_it_is_not_issued_before_the_run_has_ended(data: ReportData) -> None:
+    with pytest.raises(InputError, match="before the end of the run on 2026-03-01"):
+        certificate_of_report(data, settings(), datetime.date(2026, 2, 28))
+
+
+def test_persons_and_places_are_those_of_the_run(data: ReportData) -> None:
+    once = settings(place=None, measured_by=None, approved_by="Old Chief", number_prefix=None)
+    made = read(certificate_of_report(replace(data, document=once), settings(number_prefix="C-"), DAY))
+    head = "dcc:administrativeData"
+    assert texts(made, f"{head}/dcc:respPersons/dcc:respPerson/dcc:person/dcc:name/dcc:content") == ["Old Chief"]
+    assert texts(made, f"{head}/dcc:coreData/dcc:uniqueIdentifier") == ["run-17"]
+    assert "Hall 3" not in etree.tostring(made, encoding="unicode")
+    nobody = replace(data, document=settings(measured_by=None, approved_by=None))
+    with pytest.raises(ConfigurationError, match=r"report\.measured_by") as caught:
+        certificate_of_report(nobody, settings(), DAY)
+    assert "before the run begins" in caught.value.hint
+
+
+def test_the_pdf_is_printed_from_the_completed_document(
+    data: ReportData, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the run did not state stands in the certificate and in the PDF inside of it."""
+    once = replace(data, document=settings(customer=None))
+    monkeypatch.setattr(from_journal, "read_record", lambda *_: SimpleNamespace(table=lambda _: None))
+    monkeypatch.setattr(from_journal, "report_of", lambda _: once)
+    monkeypatch.setattr(from_journal, "open_journal", lambda _: nullcontext())
+    monkeypatch.setattr(from_journal, "render_report", lambda shown, language: str(shown.document.customer))
+    monkeypatch.setattr(from_journal, "render_pdf", lambda html: html.encode())
+    made = from_journal.certificate_from_journal(tmp_path, "run-17", settings(), DAY, language="en", with_pdf=True)
+    (held,) = texts(read(made), "dcc:document/dcc:dataBase64")
+    assert base64.b64decode(held) == b"Customer & Co"
 
 
 def test_who_certifies_what(root: etree._Element) -> None:

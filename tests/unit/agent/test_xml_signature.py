@@ -6,15 +6,21 @@ import datetime
 from pathlib import Path
 
 import pytest
-from cryptography.hazmat.primitives.asymmetric import ed25519, rsa
+from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric import ec, ed25519, rsa
+from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import BestAvailableEncryption, Encoding, NoEncryption, PrivateFormat
+from cryptography.x509.oid import ExtendedKeyUsageOID
 from lxml import etree
 from signers import NOW, Identity, identity
 from signxml.algorithms import SignatureMethod
+from signxml.signer import XMLSigner
 from signxml.xades import XAdESSigner
 
+from agent.certificates import xml_signature
 from agent.certificates.xml_signature import Signer, Trust, check_signature
 from drivers.errors import ConfigurationError, InputError
+from twin.formats.digital_certificate.xml_reading import DS
 
 TEXT = b'<c:doc xmlns:c="urn:c"><c:value>1.5</c:value></c:doc>'
 AUTHORITY = identity("Authority", authority=True)
@@ -22,11 +28,14 @@ LABORATORY = identity("Laboratory", AUTHORITY)
 STRANGER = identity("Stranger")
 
 
-def signed_by(who: Identity, folder: Path, text: bytes = TEXT) -> bytes:
+EARLY = datetime.datetime(2021, 6, 1, tzinfo=datetime.UTC)
+
+
+def signed_by(who: Identity, folder: Path, text: bytes = TEXT, now: datetime.datetime = NOW) -> bytes:
     key, certificate = folder / "key.pem", folder / "cert.pem"
     key.write_bytes(who.key_pem)
     certificate.write_bytes(who.pem)
-    return etree.tostring(Signer.read(key, certificate, NOW).signed(etree.fromstring(text)))
+    return etree.tostring(Signer.read(key, certificate, now).signed(etree.fromstring(text)))
 
 
 def pem(who: Identity, folder: Path) -> Path:
@@ -161,3 +170,88 @@ def test_a_key_of_another_kind_is_refused(tmp_path: Path) -> None:
     key.write_bytes(made.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
     with pytest.raises(ConfigurationError, match="of a kind that does not sign XML"):
         Signer.read(key, pem(LABORATORY, tmp_path), NOW)
+
+
+def test_an_authority_vouches_for_a_certificate_that_has_expired_since(tmp_path: Path) -> None:
+    once = identity("Once", AUTHORITY, until=datetime.datetime(2021, 7, 1, tzinfo=datetime.UTC))
+    found = check_signature(signed_by(once, tmp_path, now=EARLY), "d.xml", [pem(AUTHORITY, tmp_path)])
+    assert (found.trust, found.valid) == (Trust.TRUSTED, (datetime.date(2020, 1, 1), datetime.date(2021, 7, 1)))
+    old = identity("Old authority", authority=True, until=datetime.datetime(2021, 7, 1, tzinfo=datetime.UTC))
+    with pytest.raises(InputError, match="the authority is not valid today"):
+        check_signature(signed_by(identity("L", old), tmp_path), "d.xml", [pem(old, tmp_path)])
+
+
+def test_the_certificate_of_the_signer_may_stand_behind_that_of_its_authority(tmp_path: Path) -> None:
+    signer = XMLSigner(signature_algorithm=SignatureMethod.ECDSA_SHA256)
+    chain = [AUTHORITY.certificate, LABORATORY.certificate]
+    signed = etree.tostring(signer.sign(etree.fromstring(TEXT), key=LABORATORY.key, cert=chain))
+    for trusted in (LABORATORY, AUTHORITY):
+        found = check_signature(signed, "d.xml", [pem(trusted, tmp_path)])
+        assert (found.trust, "CN=Laboratory" in found.signer) == (Trust.TRUSTED, True)
+
+
+@pytest.mark.parametrize(
+    ("usage", "purposes", "told"),
+    [
+        ({"content_commitment": True}, [], ""),
+        ({"digital_signature": True}, [ExtendedKeyUsageOID.EMAIL_PROTECTION], ""),
+        ({"key_encipherment": True}, [], "not one that signs"),
+        ({"digital_signature": True}, [ExtendedKeyUsageOID.SERVER_AUTH], "one of a web site"),
+    ],
+)
+def test_the_rules_for_signers_are_those_of_seals(
+    usage: dict[str, bool], purposes: list[x509.ObjectIdentifier], told: str, tmp_path: Path
+) -> None:
+    """A seal has no name of a host, and its key may be one that commits to contents."""
+    signed = signed_by(seal(usage, purposes), tmp_path)
+    if not told:
+        assert check_signature(signed, "d.xml", [pem(AUTHORITY, tmp_path)]).trust is Trust.TRUSTED
+        return
+    with pytest.raises(InputError, match="the signer is not trusted: CN=Seal") as caught:
+        check_signature(signed, "d.xml", [pem(AUTHORITY, tmp_path)])
+    assert told in caught.value.hint
+
+
+def test_a_signer_cannot_certify_others(tmp_path: Path) -> None:
+    forged = identity("Forged", LABORATORY)
+    signer = Signer(forged.key, (forged.certificate, LABORATORY.certificate))
+    signed = etree.tostring(signer.signed(etree.fromstring(TEXT)))
+    for trusted in (AUTHORITY, LABORATORY):
+        with pytest.raises(InputError, match="the signer is not trusted: CN=Forged"):
+            check_signature(signed, "d.xml", [pem(trusted, tmp_path)])
+
+
+def seal(usage: dict[str, bool], purposes: list[x509.ObjectIdentifier]) -> Identity:
+    """Return an identity certified by AUTHORITY without the name of a host."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    names = (
+        *("digital_signature", "content_commitment", "key_encipherment", "data_encipherment", "key_agreement"),
+        *("key_cert_sign", "crl_sign", "encipher_only", "decipher_only"),
+    )
+    built = (
+        x509.CertificateBuilder()
+        .subject_name(x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "Seal")]))
+        .issuer_name(AUTHORITY.certificate.subject)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(datetime.datetime(2020, 1, 1, tzinfo=datetime.UTC))
+        .not_valid_after(datetime.datetime(2120, 1, 1, tzinfo=datetime.UTC))
+        .add_extension(x509.KeyUsage(**{name: usage.get(name, False) for name in names}), critical=True)
+        .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(AUTHORITY.key.public_key()), critical=False)
+    )
+    if purposes:
+        built = built.add_extension(x509.ExtendedKeyUsage(purposes), critical=False)
+    return Identity(key, built.sign(AUTHORITY.key, SHA256()))
+
+
+@pytest.mark.parametrize("name", ["Reference", "Transform"])
+def test_a_signature_with_many_references_is_refused_before_it_is_digested(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    signed = etree.fromstring(signed_by(LABORATORY, tmp_path))
+    (one, *_) = signed.iter(f"{{{DS}}}{name}")
+    for _ in range(20):
+        one.addnext(etree.fromstring(etree.tostring(one)))
+    monkeypatch.setattr(xml_signature, "_verified", lambda *_: pytest.fail("was digested"))
+    with pytest.raises(InputError, match=f"2[012] elements {name}"):
+        check_signature(etree.tostring(signed), "d.xml")

@@ -141,7 +141,7 @@ FORM = real("roundness", 0.1, r"\micro\metre")
     [
         (GOOD, "digitalCalibrationCertificate", "somethingElse", "this is no digital calibration certificate"),
         (GOOD, 'schemaVersion="3.3.0"', 'schemaVersion="2.4.0"', "schema version '2.4.0'"),
-        (GOOD, "https://ptb.de/si", "https://example.org/si", "no value that is understood"),
+        (GOOD, "https://ptb.de/si", "https://example.org/si", "realListXMLList of a quantity is not understood"),
         (GOOD, r"<si:unitXMLList>\metre<", r"<si:unitXMLList>\second<", r"the unit '\\second' is not known"),
         (GOOD, r"<si:unitXMLList>\metre<", r"<si:unitXMLList>\kelvin<", "does not measure what is stated here"),
         (
@@ -170,6 +170,35 @@ FORM = real("roundness", 0.1, r"\micro\metre")
         (SINGLE, ">0.0012<", ">-0.0012<", "an uncertainty is negative"),
         (SINGLE, ">0.0012<", ">NaN<", "'NaN' is not a finite number"),
         (SINGLE, ">0.0012<", ">1e999<", "'1e999' is not a finite number"),
+        (GOOD, r"<si:unitXMLList>\metre<", r"<si:unitXMLList>\pico\metre\tothe{-99}<", "is not known"),
+        (GOOD, r"<si:unitXMLList>\metre<", r"<si:unitXMLList>\kilo\metre<", "a length is larger than 100 m"),
+        (GOOD, r"\micro\metre\tothe{2}", r"\milli\metre\tothe{2}", "a standard uncertainty is .* mm"),
+        (SINGLE, ">0.0012<", ">0.0<", "a standard uncertainty is 0"),
+        (SINGLE, ">0.0012<", ">1e200<", "a number is too large|a standard uncertainty is"),
+        (SINGLE, "<si:coverageFactorXMLList>2", "<si:coverageFactorXMLList>100", "a coverage factor is larger than 10"),
+        (
+            SINGLE,
+            "<si:coverageFactorXMLList>2",
+            "<si:coverageFactorXMLList>1",
+            "factor 1 contradicts the coverage prob",
+        ),
+        (SINGLE, "ProbabilityXMLList>0.95", "ProbabilityXMLList>7", "a coverage probability is not between 0 and 1"),
+        (
+            SINGLE,
+            "0.95</si:coverageProbabilityXMLList>",
+            "0.95</si:coverageProbabilityXMLList><si:distributionXMLList>rectangular</si:distributionXMLList>",
+            "factor 2 contradicts the coverage probability 0.95",
+        ),
+        (SINGLE, "</si:valueXMLList>", "<x/>9 9</si:valueXMLList>", "only numbers are expected here"),
+        (SINGLE, "<si:unitXMLList>", "9 9<si:unitXMLList>", "the text '9 9' is not expected here"),
+        (SINGLE, "</si:realListXMLList>", "</si:realListXMLList><si:real/>", "the quantity states its value twice"),
+        (SINGLE, "<si:unitXMLList>", "<si:unitXMLList/><si:unitXMLList>", "unitXMLList of a quantity is stated twice"),
+        (SINGLE, "</si:realListXMLList>", "</si:realListXMLList><dcc:other/>", "element other of a quantity is not"),
+        (GOOD, 'refType="', 'refType="basic_nominalValue ', "is a 'basic_nominalValue', and not what was measured"),
+        (GOOD, "2014-03-01</dcc:end", "2014-03-01garbage</dcc:end", "'2014-03-01garbage' is not a date"),
+        (GOOD, "2014-03-01</dcc:end", "2014-W09-6</dcc:end", "'2014-W09-6' is not a date"),
+        (GOOD, "<dcc:date>2126-03-01</dcc:date>", "", "neither a date nor a period"),
+        (GOOD, "<dcc:date>2126-03-01</dcc:date>", "<dcc:period>PT5H</dcc:period>", "'PT5H' is not a period"),
         (SINGLE, "</si:realListXMLList>", "</si:realListXMLList><dcc:relativeUncertainty/>", "a relative uncertainty"),
     ],
 )
@@ -182,6 +211,106 @@ def test_what_is_not_understood_is_refused_by_name(text: str, old: str, new: str
         parse_certificate(text.replace(old, new).encode(), "c.xml")
     assert caught.value.where["file"] == "c.xml"
     assert caught.value.where["element"].startswith("/")
+
+
+STANDARD = (
+    "<si:measurementUncertaintyUnivariate><si:standardMU><si:valueStandardMU>{}</si:valueStandardMU></si:standardMU>"
+    "</si:measurementUncertaintyUnivariate>"
+)
+SECOND = r"<si:realListXMLList><si:valueXMLList>293 294</si:valueXMLList><si:unitXMLList>\kelvin</si:unitXMLList>"
+
+
+@pytest.mark.parametrize(
+    ("other", "told"),
+    [
+        (
+            real("thermalExpansionCoefficient", 11.9, r"\per\kelvin", STANDARD.format(0.2)),
+            "expansion is 11.9 1/K",
+        ),
+        (real("thermalExpansionCoefficient", 1.2e-5, r"\per\kelvin", STANDARD.format(0.2)), "uncertainty of 0.2 1/K"),
+        (real("thermalExpansionCoefficient", 1.2e-5, r"\per\kelvin", STANDARD.format(0.0)), "uncertainty of 0 1/K"),
+        (real("referenceTemperature", 20.0, r"\kelvin"), "reference temperature is -253.15 °C"),
+        (real("referenceTemperature", 1e300, r"\degreecelsius"), "reference temperature is 1e"),
+        (quantity("referenceTemperature", f"{SECOND}</si:realListXMLList>"), "2 temperatures where one is expected"),
+    ],
+)
+def test_what_no_artefact_can_have_is_refused(other: str, told: str) -> None:
+    with pytest.raises(FormatError, match=told) as caught:
+        parse_certificate(certificate(centres_with_covariance(TILTED.balls, covariance_of(5)), other), "c.xml")
+    assert "quantity" in caught.value.where["element"]
+
+
+def test_many_lists_of_one_kind_are_refused_before_they_are_joined() -> None:
+    one = expanded_list("ballCentreX", np.ones(300), 1.2)
+    with pytest.raises(FormatError, match="ballCentreX has more than 300 values") as caught:
+        parse_certificate(certificate(one * 40), "c.xml")
+    assert caught.value.where["element"].endswith("quantity[2]")
+    axes = "".join(expanded_list(f"ballCentre{name}", np.ones(101), 1.2) for name in "XYZ")
+    with pytest.raises(FormatError, match="101 balls are more than 100"):
+        parse_certificate(certificate(axes), "c.xml")
+
+
+def test_the_diameter_is_compared_with_that_of_the_artefact() -> None:
+    centres = centres_with_covariance(TILTED.balls, covariance_of(5))
+    nominal = real("ballDiameter", 20.0, r"\milli\metre").replace('refType="', 'refType="basic_nominalValue ')
+    found = parse_certificate(certificate(centres, expanded_list("ballDiameter", [10.0] * 5, 0.5)), "c.xml")
+    with pytest.raises(DataError, match=r"10\.0000 mm, that of the artefact 'bar' 20\.0000 mm"):
+        certified_artefact(found, TILTED, "")
+    both = certificate(centres, expanded_list("ballDiameter", [20.008], 0.5) + nominal)
+    assert parse_certificate(both, "c.xml", ("basic_nominalValue",)).ball_diameter_mm == pytest.approx(20.008)
+
+
+def test_correlated_distances_stay_correlated() -> None:
+    """Lengths of one interferometer share its error: that of their difference is much smaller than their own."""
+    lengths = np.linalg.norm(TILTED.balls[1:] - TILTED.balls[0], axis=1)
+    stated = 1e-6 * (np.ones((4, 4)) + 1e-2 * np.eye(4))
+    text = centres_with_covariance(lengths.reshape(1, -1), stated).replace("ballCentres", "ballDistances")
+    found = certified_artefact(parse_certificate(certificate(text), "c.xml"), TILTED, "")
+    lines = TILTED.balls[1:] - TILTED.balls[0]
+    rows = np.zeros((4, 15))
+    for ball, line in enumerate(lines, start=1):
+        rows[ball - 1, 3 * ball : 3 * ball + 3] = line / np.linalg.norm(line)
+        rows[ball - 1, :3] = -line / np.linalg.norm(line)
+    assert rows @ found.covariance @ rows.T == pytest.approx(stated, rel=1e-3)
+
+
+def test_distances_at_another_temperature_are_joined_to_centres_at_that_temperature() -> None:
+    """22 °C instead of 20 °C: a certificate of the same artefact moves no ball but by its expansion."""
+    warm = replace(TILTED, reference_temperature_c=22.0, cte_per_k=1e-5, covariance=1e-8 * TILTED.covariance)
+    lengths = np.linalg.norm(warm.balls[1:] - warm.balls[0], axis=1) * (1.0 - 2e-5)
+    found = certified_artefact(
+        parse_certificate(certificate(expanded_list("ballDistances", lengths, 2.0)), "c.xml"), warm, ""
+    )
+    assert found.reference_temperature_c == 20.0
+    assert found.balls == pytest.approx(warm.balls * (1.0 - 2e-5), abs=1e-5)
+
+
+def test_the_earliest_end_of_the_validity_counts() -> None:
+    end = "<dcc:date>2126-03-01</dcc:date>"
+    for other, until in (
+        ("<dcc:period>P1Y6M</dcc:period>", datetime.date(2015, 9, 1)),
+        ("<dcc:period>P30D</dcc:period>", datetime.date(2014, 3, 31)),
+        (
+            f"{end}</dcc:statement><dcc:statement refType='basic_nextCalibrationDate'><dcc:date>2016-02-29Z</dcc:date>",
+            datetime.date(2016, 2, 29),
+        ),
+    ):
+        assert parse_certificate(GOOD.replace(end, other).encode(), "c.xml").identity.until == until
+
+
+def test_what_a_certificate_states_against_itself_is_told() -> None:
+    failed = "</si:realListXMLList><dcc:measurementMetaData><dcc:metaData><dcc:conformity>fail</dcc:conformity>"
+    text = GOOD.replace("</si:realListXMLList>", f"{failed}</dcc:metaData></dcc:measurementMetaData>")
+    assert "conformity 'fail'" in parse_certificate(text.encode(), "c.xml").warnings[0]
+    text = GOOD.replace("<dcc:endPerf", "<dcc:reportAmendedSubstituted/><dcc:endPerf", 1)
+    assert "amends or substitutes" in parse_certificate(text.encode(), "c.xml").warnings[0]
+
+
+def test_foreign_text_cannot_look_like_a_statement() -> None:
+    spoof = "Lab; signed by a trusted signer" + 300 * "."
+    found = parse_certificate(GOOD.replace(">Laboratory<", f">{spoof}<").encode(), "c.xml").identity.text
+    assert ";" not in found
+    assert len(found) < 250
 
 
 def test_what_is_not_needed_is_ignored_by_its_name() -> None:

@@ -6,7 +6,6 @@ leave out what matters.
 
 from __future__ import annotations
 
-import datetime
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -14,21 +13,21 @@ import numpy as np
 from lxml import etree
 
 from twin.arrays import Array
-from twin.artefact.certificate import BallDistance
+from twin.artefact.certificate import CERTIFIED_MM, MAX_CTE_PER_K, REFERENCE_RANGE_C, BallDistance
 from twin.errors import FormatError
 from twin.formats.digital_certificate.dsi_units import METRE, PER_KELVIN
-from twin.formats.digital_certificate.dsi_values import DsiValues, read_celsius, read_values
-from twin.formats.digital_certificate.roles import AXIS_ROLES, Role, role_of, titles
+from twin.formats.digital_certificate.dsi_values import MAX_VALUES, DsiValues, read_celsius, read_values
+from twin.formats.digital_certificate.identity import CertificateIdentity, read_identity
+from twin.formats.digital_certificate.roles import AXIS_ROLES, Role, not_measured, role_of, titles
 from twin.formats.digital_certificate.xml_reading import (
     DCC,
-    child,
     children,
     is_named,
     local_name,
     parse_xml,
     path_of,
     refused,
-    text_in_english,
+    required,
     text_of,
 )
 from twin.units import REFERENCE_TEMPERATURE_C
@@ -36,34 +35,7 @@ from twin.units import REFERENCE_TEMPERATURE_C
 ROOT = "digitalCalibrationCertificate"
 _MM = 1e3
 _SAME_DIAMETER_MM = 0.01
-_VALIDITY = ("nextCalibrationDate", "validUntil")
-
-
-@dataclass(frozen=True)
-class CertificateIdentity:
-    """Certified item, laboratory, number and dates of a certificate.
-
-    `until` is the end of the validity, or the date of the next calibration; it is None if the certificate states none.
-    Texts that are not stated are empty.
-    """
-
-    number: str
-    laboratory: str
-    performed: datetime.date
-    issued: datetime.date | None
-    until: datetime.date | None
-    item: str
-    manufacturer: str
-    model: str
-    serial_number: str
-
-    @property
-    def text(self) -> str:
-        """Certificate in one line, as an artefact file states it."""
-        serial = [f"serial number {self.serial_number}"] if self.serial_number else []
-        day = f"calibrated on {self.performed.isoformat()}"
-        until = [f"valid until {self.until.isoformat()}"] if self.until is not None else []
-        return ", ".join([f"{self.laboratory} {self.number}", *serial, day, *until])
+_LARGEST_M = 100.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,18 +43,20 @@ class ArtefactCertificate:
     """Content of the certificate of an artefact with N balls.
 
     `centres` (N, 3) are the ball centres in mm in the frame of the certificate with their `covariance` (3N, 3N) in mm²;
-    both are None if the certificate states distances. `distances` are those of the other balls from ball 0, not
-    correlated. `ball_diameter_mm`, and `expansion` with the value and the standard uncertainty in 1/K, are None if they
-    are not stated.
+    both are None if the certificate states distances. `distances` are those of the other balls from ball 0, with their
+    covariance `distance_covariance` (N - 1, N - 1) in mm². `ball_diameter_mm`, and `expansion` with the value and the
+    standard uncertainty in 1/K, are None if they are not stated. `warnings` are what must be known of the certificate.
     """
 
     identity: CertificateIdentity
     centres: Array | None = field(repr=False)
     covariance: Array | None = field(repr=False)
     distances: tuple[BallDistance, ...]
+    distance_covariance: Array | None = field(repr=False)
     ball_diameter_mm: float | None
     expansion: tuple[float, float] | None
     reference_temperature_c: float
+    warnings: tuple[str, ...] = ()
 
 
 def parse_certificate(content: bytes, source: str, ignored: Sequence[str] = ()) -> ArtefactCertificate:
@@ -108,11 +82,11 @@ def parse_certificate(content: bytes, source: str, ignored: Sequence[str] = ()) 
             "Ask the laboratory for a certificate of version 3",
         )
     found = _Found(source, tuple(ignored), set(), {})
-    found.collect(_required(root, source, "measurementResults"))
+    found.collect(required(root, source, "measurementResults"))
     missed = [name for name in ignored if name not in found.used]
     if missed:
         raise FormatError(f"the certificate has no result or quantity '{missed[0]}' that could be ignored", file=source)
-    return found.certificate(_identity(root, source))
+    return found.certificate(read_identity(root, source), _warnings(root))
 
 
 @dataclass(frozen=True)
@@ -134,9 +108,9 @@ class _Found:
         if not measured:
             raise refused("the certificate has no results", results, self.source)
         for one in measured:
-            for result in children(_required(one, self.source, "results"), DCC, "result"):
+            for result in children(required(one, self.source, "results"), DCC, "result"):
                 if not self._is_ignored(one) and not self._is_ignored(result):
-                    self._collect_data(_required(result, self.source, "data"))
+                    self._collect_data(required(result, self.source, "data"))
 
     def _collect_data(self, data: etree._Element) -> None:
         for one in data:
@@ -151,6 +125,10 @@ class _Found:
                 raise refused(f"the element {local_name(one)} of a result is not understood", one, self.source, hint)
 
     def _add(self, quantity: etree._Element) -> None:
+        kind = not_measured(quantity)
+        if kind is not None:
+            hint = f"Pass --ignore '{kind}' if the certificate states the measured value, too"
+            raise refused(f"the quantity is a '{kind}', and not what was measured", quantity, self.source, hint)
         role = role_of(quantity)
         if role is None:
             named = titles(quantity)
@@ -174,20 +152,40 @@ class _Found:
 
     def _lengths(self, role: Role) -> DsiValues | None:
         """Return the values of all quantities of a role, one after the other, in mm; None if there are none."""
-        parts = [(one, read_values(one, METRE, self.source)) for one in self.by_role.get(role, ())]
-        if not parts:
+        values, blocks, count = list[Array](), list[Array | None](), 0
+        for one in self.by_role.get(role, ()):
+            part = read_values(one, METRE, self.source)
+            count += len(part.values)
+            if count > MAX_VALUES:
+                raise refused(f"{role.value} has more than {MAX_VALUES} values", one, self.source)
+            if np.abs(part.values).max() > _LARGEST_M:
+                raise refused(f"a length is larger than {_LARGEST_M:g} m", one, self.source, "Check its unit")
+            block = part.full_covariance
+            if role is not Role.DIAMETER:
+                self._check_uncertainty(one, part.values, block)
+            values.append(_MM * part.values)
+            blocks.append(None if block is None else _MM**2 * block)
+        if not values:
             return None
-        for one, part in parts:
-            if part.full_covariance is None and role is not Role.DIAMETER:
-                raise refused("the values have no uncertainty", one, self.source, "Ask the laboratory for it")
-        values = np.concatenate([part.values for _, part in parts])
         if role is Role.DIAMETER:
-            return DsiValues(_MM * values)
-        return DsiValues(_MM * values, None, _MM**2 * _block_diagonal([part.full_covariance for _, part in parts]))
+            return DsiValues(np.concatenate(values))
+        return DsiValues(np.concatenate(values), None, _block_diagonal(blocks))
 
-    def certificate(self, identity: CertificateIdentity) -> ArtefactCertificate:
+    def _check_uncertainty(self, quantity: etree._Element, values: Array, covariance: Array | None) -> None:
+        """Raise FormatError if lengths (n,) in m have an uncertainty that no calibration has. Only a value of 0, which
+        defines the frame, may be exact."""
+        if covariance is None:
+            raise refused("the values have no uncertainty", quantity, self.source, "Ask the laboratory for it")
+        sigma = _MM * np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+        if sigma.max() > CERTIFIED_MM:
+            told = f"a standard uncertainty is {sigma.max():.3g} mm, and that of a calibration at most {CERTIFIED_MM:g}"
+            raise refused(f"{told} mm", quantity, self.source, "Check its unit, and that of the values")
+        if (sigma[values != 0.0] <= 0.0).any():
+            raise refused("a standard uncertainty is 0", quantity, self.source, "Ask the laboratory for it")
+
+    def certificate(self, identity: CertificateIdentity, warnings: tuple[str, ...]) -> ArtefactCertificate:
         centres, covariance = self._centres()
-        distances = self._distances()
+        distances, together = self._distances()
         if (centres is None) == (not distances):
             raise FormatError(
                 "the certificate states neither ball centres nor distances"
@@ -199,7 +197,15 @@ class _Found:
                 file=self.source,
             )
         return ArtefactCertificate(
-            identity, centres, covariance, distances, self._diameter(), self._expansion(), self._reference()
+            identity,
+            centres,
+            covariance,
+            distances,
+            together,
+            self._diameter(),
+            self._expansion(),
+            self._reference(),
+            warnings,
         )
 
     def _centres(self) -> tuple[Array | None, Array | None]:
@@ -218,25 +224,27 @@ class _Found:
             counts = ", ".join(str(0 if one is None else len(one.values)) for one in axes)
             raise self._of(AXIS_ROLES, f"the numbers of X, Y and Z coordinates differ or are less than 2: {counts}")
         count = len(stated[0].values)
+        if 3 * count > MAX_VALUES:
+            raise self._of(AXIS_ROLES, f"{count} balls are more than {MAX_VALUES // 3}")
         # from axis by axis to ball by ball
         order = np.arange(3 * count).reshape(3, count).T.reshape(-1)
         covariance = _block_diagonal([one.covariance for one in stated])
         return np.stack([one.values for one in stated], axis=1), covariance[np.ix_(order, order)]
 
-    def _distances(self) -> tuple[BallDistance, ...]:
+    def _distances(self) -> tuple[tuple[BallDistance, ...], Array | None]:
+        """Return the distances of the balls 1, 2, … from ball 0, and their covariance (N - 1, N - 1) in mm²."""
         found = self._lengths(Role.DISTANCES)
         if found is None or found.covariance is None:
-            return ()
-        sigma = np.sqrt(np.diagonal(found.covariance))
-        first = 0 if found.values[0] == 0.0 else 1
+            return (), None
+        left = 1 if found.values[0] == 0.0 else 0  # the distance of ball 0 from itself
+        covariance = found.covariance[left:, left:]
+        sigma = np.sqrt(np.diagonal(covariance))
         distances = []
-        for ball, (length, doubt) in enumerate(zip(found.values.tolist(), sigma.tolist(), strict=True), start=first):
-            if ball == 0:
-                continue
+        for ball, (length, doubt) in enumerate(zip(found.values[left:].tolist(), sigma.tolist(), strict=True), start=1):
             if not (length > 0.0 and doubt > 0.0):
                 raise self._of((Role.DISTANCES,), f"the distance of ball {ball} or its uncertainty is not positive")
             distances.append(BallDistance((0, ball), length, doubt))
-        return tuple(distances)
+        return tuple(distances), covariance
 
     def _diameter(self) -> float | None:
         found = self._lengths(Role.DIAMETER)
@@ -253,12 +261,23 @@ class _Found:
         found = read_values(quantity, PER_KELVIN, self.source)
         if len(found.values) != 1 or found.full_covariance is None:
             raise refused("one value with its uncertainty is expected here", quantity, self.source)
-        return float(found.values[0]), float(np.sqrt(found.full_covariance[0, 0]))
+        value, doubt = float(found.values[0]), float(np.sqrt(found.full_covariance[0, 0]))
+        if abs(value) > MAX_CTE_PER_K or not 0.0 < doubt <= MAX_CTE_PER_K:
+            told = f"the thermal expansion is {value:.3g} 1/K with a standard uncertainty of {doubt:.3g} 1/K"
+            hint = f"Both are at most {MAX_CTE_PER_K:g} 1/K, and none is exact: check the unit"
+            raise refused(told, quantity, self.source, hint)
+        return value, doubt
 
     def _reference(self) -> float:
         if Role.REFERENCE_TEMPERATURE not in self.by_role:
             return REFERENCE_TEMPERATURE_C
-        return read_celsius(self._single(Role.REFERENCE_TEMPERATURE), self.source)
+        quantity = self._single(Role.REFERENCE_TEMPERATURE)
+        found = read_celsius(quantity, self.source)
+        low, high = REFERENCE_RANGE_C
+        if not low <= found <= high:
+            told = f"the reference temperature is {found:.6g} °C"
+            raise refused(told, quantity, self.source, f"It lies between {low:g} and {high:g} °C: check its unit")
+        return found
 
     def _single(self, role: Role) -> etree._Element:
         first, *others = self.by_role[role]
@@ -278,6 +297,19 @@ _PASSED = (
 """Parts of results that do not change the values."""
 
 
+def _warnings(root: etree._Element) -> tuple[str, ...]:
+    """Return what a certificate states against itself."""
+    found = []
+    for one in root.iter(f"{{{DCC}}}conformity"):
+        if text_of(one) not in ("pass", ""):
+            found.append(f"The certificate states the conformity '{text_of(one)[:20]}' ({path_of(one)}).")
+            break
+    amended = next(root.iter(f"{{{DCC}}}reportAmendedSubstituted"), None)
+    if amended is not None:
+        found.append("The certificate amends or substitutes another one: make sure that it is the last one.")
+    return tuple(found)
+
+
 def _result_of(element: etree._Element) -> etree._Element | None:
     return next(element.iterancestors(f"{{{DCC}}}result"), None)
 
@@ -291,75 +323,3 @@ def _block_diagonal(blocks: Sequence[Array | None]) -> Array:
             whole[at : at + size, at : at + size] = block
         at += size
     return whole
-
-
-def _required(parent: etree._Element, source: str, *names: str) -> etree._Element:
-    """Return the descendant of `parent` that the names lead to, level by level."""
-    at = parent
-    for name in names:
-        found = child(at, DCC, name)
-        if found is None:
-            raise refused(f"the certificate has no element '{name}' here", at, source)
-        at = found
-    return at
-
-
-def _identity(root: etree._Element, source: str) -> CertificateIdentity:
-    data = _required(root, source, "administrativeData")
-    core = _required(data, source, "coreData")
-    number = _required(core, source, "uniqueIdentifier")
-    if not text_of(number):
-        raise refused("the certificate has no number", number, source)
-    items = children(_required(data, source, "items"), DCC, "item")
-    if len(items) != 1:
-        hint = "Ask the laboratory for a certificate of the artefact alone"
-        raise refused(
-            f"the certificate is of {len(items)} items, and not of one", items[0] if items else data, source, hint
-        )
-    item = items[0]
-    manufacturer = child(item, DCC, "manufacturer")
-    performed = _required(core, source, "endPerformanceDate")
-    return CertificateIdentity(
-        number=_line(number),
-        laboratory=text_in_english(_required(data, source, "calibrationLaboratory", "contact", "name")),
-        performed=_date(performed, source),
-        issued=_optional_date(child(core, DCC, "issueDate"), source),
-        until=_valid_until(data, source),
-        item=text_in_english(child(item, DCC, "name")),
-        manufacturer="" if manufacturer is None else text_in_english(child(manufacturer, DCC, "name")),
-        model=_line(child(item, DCC, "model")),
-        serial_number=_serial_number(item),
-    )
-
-
-def _line(element: etree._Element | None) -> str:
-    return " ".join(text_of(element).split())
-
-
-def _serial_number(item: etree._Element) -> str:
-    """Return the number by which the item is identified: that of its manufacturer, or else the first one."""
-    listed = child(item, DCC, "identifications")
-    found = [] if listed is None else children(listed, DCC, "identification")
-    numbers = [(_line(child(one, DCC, "issuer")), _line(child(one, DCC, "value"))) for one in found]
-    return next((value for issuer, value in sorted(numbers, key=lambda one: one[0] != "manufacturer")), "")
-
-
-def _valid_until(data: etree._Element, source: str) -> datetime.date | None:
-    """Return the date until which a statement says that the certificate is valid; None if none says it."""
-    listed = child(data, DCC, "statements")
-    for one in [] if listed is None else children(listed, DCC, "statement"):
-        if any(token.rpartition("_")[2] in _VALIDITY for token in one.get("refType", "").split()):
-            return _optional_date(child(one, DCC, "date"), source)
-    return None
-
-
-def _optional_date(element: etree._Element | None, source: str) -> datetime.date | None:
-    return None if element is None else _date(element, source)
-
-
-def _date(element: etree._Element, source: str) -> datetime.date:
-    text = text_of(element)
-    try:
-        return datetime.date.fromisoformat(text[:10])
-    except ValueError:
-        raise refused(f"'{text[:20]}' is not a date", element, source) from None

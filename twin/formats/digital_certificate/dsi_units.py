@@ -3,6 +3,7 @@ brochure)."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ _UNITS: Final[Mapping[str, tuple[float, Mapping[str, int]]]] = {
 }
 _TOKEN: Final = re.compile(r"\\([A-Za-z]+)(?:\{([+-]?\d{1,2})\})?")
 _LONGEST: Final = 100
+_LARGEST_POWER: Final = 4
 
 DEGREE_CELSIUS: Final = r"\degreecelsius"
 METRE: Final[Mapping[str, int]] = {"metre": 1}
@@ -42,7 +44,8 @@ def parse_unit(text: str) -> DsiUnit:
     r"""Return the unit that `text` names. A prefix applies to the unit after it, `\tothe{n}` raises it to the power n,
     and all units after `\per` divide.
 
-    Raise DataError if the text is not a unit of length, temperature difference or angle, or a number.
+    Raise DataError if the text is not a unit of length, temperature difference or angle, or a number, or if a power is
+    beyond 4.
     """
     words = _TOKEN.findall(text)
     if len(text) > _LONGEST or _TOKEN.sub("", text).strip() or not words:
@@ -60,9 +63,13 @@ def parse_unit(text: str) -> DsiUnit:
         at, power = at + 1, 1
         if at < end and words[at][0] == "tothe" and words[at][1]:
             at, power = at + 1, int(words[at][1])
+        if abs(power) > _LARGEST_POWER:
+            raise _unknown(text)
         factor *= (prefix * size) ** (sign * power)
         for name, exponent in dimension.items():
             exponents[name] = exponents.get(name, 0) + sign * power * exponent
+    if not (math.isfinite(factor) and factor > 0.0):
+        raise _unknown(text)
     return DsiUnit(factor, {name: exponent for name, exponent in exponents.items() if exponent})
 
 

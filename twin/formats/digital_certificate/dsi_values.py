@@ -7,15 +7,26 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Final
 
 import numpy as np
 from lxml import etree
 
 from twin.arrays import Array
-from twin.errors import DataError
+from twin.errors import DataError, FormatError
 from twin.formats.digital_certificate.dsi_units import DEGREE_CELSIUS, factor_to
-from twin.formats.digital_certificate.xml_reading import SI, child, children, is_named, local_name, refused, text_of
+from twin.formats.digital_certificate.xml_reading import (
+    DCC,
+    SI,
+    child,
+    children,
+    is_named,
+    local_name,
+    refuse_loose_text,
+    refused,
+    text_of,
+)
 
 VALUES: Final = ("real", "realListXMLList", "hybrid")
 """Elements of D-SI that can be read."""
@@ -26,6 +37,16 @@ MAX_VALUES: Final = 300
 # decimal numbers of XML Schema, without NaN and infinity
 _NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?")
 _CONTRADICTION: Final = 0.05  # a covariance and an uncertainty of the same value that differ by more are not the same
+
+_TOO_LARGE: Final = 1e30  # no quantity of an artefact; squares of it are still finite
+_LARGEST_COVERAGE: Final = 10.0
+_COVERAGE_MISFIT: Final = 0.15  # laboratories round k = 2 and p = 95 %
+_RECTANGULAR: Final = {"rectangular", "uniform"}
+_BESIDE: Final = (
+    *("name", "description", "usedMethods", "usedSoftware", "measuringEquipments", "influenceConditions"),
+    "measurementMetaData",
+)
+"""Parts of a quantity beside its value that do not change it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,29 +72,52 @@ def read_values(quantity: etree._Element, exponents: Mapping[str, int], source: 
 
     Raise FormatError, which names `source` and the element, if a part of the quantity cannot be understood.
     """
-    relative = [one for one in quantity if local_name(one) == "relativeUncertainty"]
-    if relative:
-        raise refused(
-            "a relative uncertainty is not understood", relative[0], source, "State it in the unit of the value"
-        )
-    found = child(quantity, SI, *VALUES)
-    if found is not None and is_named(found, SI, "hybrid"):
-        found = child(found, SI, *VALUES[:2])
-    if found is None:
-        kinds = " or ".join(f"si:{name}" for name in VALUES)
-        raise refused("the quantity has no value that is understood", quantity, source, f"It needs {kinds}")
+    found = _stated(quantity, source)
+    if is_named(found, SI, "hybrid"):
+        first = child(found, SI, *VALUES[:2])
+        if first is None:
+            raise _nothing(found, source)
+        found = first
     return _Reader(source, exponents).values(found)
 
 
 def read_celsius(quantity: etree._Element, source: str) -> float:
     r"""Return the temperature of a `dcc:quantity` in °C, which is stated in `\degreecelsius` or `\kelvin`. Raise
     FormatError as `read_values` does."""
-    found = child(quantity, SI, "real")
-    unit = child(quantity if found is None else found, SI, "unit")
-    if found is not None and text_of(unit) == DEGREE_CELSIUS:
-        (value,) = _Reader(source, {}).numbers(child(found, SI, "value"), found, 1)
+    found = _stated(quantity, source)
+    if is_named(found, SI, "real") and text_of(child(found, SI, "unit")) == DEGREE_CELSIUS:
+        reader = _Reader(source, {})
+        reader.check_parts(found, "")
+        (value,) = reader.numbers(child(found, SI, "value"), found, 1)
         return float(value)
-    return float(read_values(quantity, {"kelvin": 1}, source).values[0]) - 273.15
+    values = read_values(quantity, {"kelvin": 1}, source).values
+    if len(values) != 1:
+        raise refused(f"{len(values)} temperatures where one is expected", quantity, source)
+    return float(values[0]) - 273.15
+
+
+def _stated(quantity: etree._Element, source: str) -> etree._Element:
+    """Return the element with the values of a `dcc:quantity`. Raise FormatError if there is not exactly one, or if the
+    quantity has parts that could change its meaning."""
+    found = []
+    for one in quantity:
+        if is_named(one, SI, *VALUES):
+            found.append(one)
+        elif is_named(one, DCC, "relativeUncertainty"):
+            raise refused("a relative uncertainty is not understood", one, source, "State it in the unit of the value")
+        elif not is_named(one, DCC, *_BESIDE):
+            raise refused(f"the element {local_name(one)} of a quantity is not understood", one, source)
+    refuse_loose_text(quantity, source)
+    if not found:
+        raise _nothing(quantity, source)
+    if len(found) > 1:
+        raise refused("the quantity states its value twice", found[1], source)
+    return found[0]
+
+
+def _nothing(element: etree._Element, source: str) -> FormatError:
+    kinds = " or ".join(f"si:{name}" for name in VALUES)
+    return refused("the quantity has no value that is understood", element, source, f"It needs {kinds}")
 
 
 @dataclass(frozen=True)
@@ -83,29 +127,48 @@ class _Reader:
 
     def values(self, found: etree._Element) -> DsiValues:
         ending = "XMLList" if is_named(found, SI, "realListXMLList") else ""
-        known = {
-            "label", "labelXMLList", "quantityTypeQUDT", "quantityTypeQUDTXMLList", f"value{ending}", f"unit{ending}",
-            "significantDigit", "significantDigitXMLList", "dateTime", "dateTimeXMLList", *_UNIVARIATE, *_MULTIVARIATE,
-        }  # fmt: skip
-        for one in found:
-            if local_name(one) not in known:
-                raise refused(f"the element {local_name(one)} of a quantity is not understood", one, self.source)
+        self.check_parts(found, ending)
         values = self.numbers(child(found, SI, f"value{ending}"), found, None if ending else 1)
         factors = self.factors(child(found, SI, f"unit{ending}"), found, len(values), self.exponents)
         doubt, spread = child(found, SI, *_UNIVARIATE), child(found, SI, *_MULTIVARIATE)
         sigma = None if doubt is None else self.standard_uncertainties(doubt, len(values))
         covariance = None if spread is None else self.covariance(spread, len(values))
-        sigma = None if sigma is None else sigma * np.abs(factors)
+        sigma = None if sigma is None else self._scaled(sigma, np.abs(factors), found)
         if spread is not None and covariance is not None and sigma is not None:
             stated = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
             if np.abs(stated - sigma).max() > _CONTRADICTION * max(float(sigma.max()), 1e-300):
                 raise refused("the covariance contradicts the uncertainties of the same values", spread, self.source)
-        return DsiValues(values * factors, sigma, covariance)
+        return DsiValues(self._scaled(values, factors, found), sigma, covariance)
+
+    def check_parts(self, found: etree._Element, ending: str) -> None:
+        """Raise FormatError if a `si:real` or a list (`ending` is XMLList) has an unknown part, or one part twice."""
+        known = {
+            "label", "labelXMLList", "quantityTypeQUDT", "quantityTypeQUDTXMLList", f"value{ending}", f"unit{ending}",
+            "significantDigit", "significantDigitXMLList", "dateTime", "dateTimeXMLList", *_UNIVARIATE, *_MULTIVARIATE,
+        }  # fmt: skip
+        names = set()
+        for one in found:
+            if not is_named(one, SI, *known):
+                raise refused(f"the element {local_name(one)} of a quantity is not understood", one, self.source)
+            if one.tag in names:
+                raise refused(f"the element {local_name(one)} of a quantity is stated twice", one, self.source)
+            names.add(one.tag)
+        refuse_loose_text(found, self.source)
+
+    def _scaled(self, numbers: Array, factors: Array, element: etree._Element) -> Array:
+        """Return the numbers times the factors of their units. Raise FormatError if a product is too large."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            found = numbers * factors
+        if not np.abs(found).max() < _TOO_LARGE:
+            raise refused("a number is too large for what it states", element, self.source, "Check its unit")
+        return np.asarray(found)
 
     def numbers(self, element: etree._Element | None, parent: etree._Element, count: int | None) -> Array:
         """Return the numbers (n,) in the text of an element of `parent`, which are `count` unless that is None."""
         if element is None:
             raise refused("a number is missing here", parent, self.source)
+        if len(element):
+            raise refused("only numbers are expected here", element[0], self.source)
         words = text_of(element).split()
         if not 0 < len(words) <= MAX_VALUES:
             raise refused(f"{len(words)} numbers where 1 to {MAX_VALUES} are expected", element, self.source)
@@ -129,6 +192,8 @@ class _Reader:
         """Return the factors (count,) that take values in the units of an element to SI units without prefixes."""
         if element is None:
             raise refused("the unit is missing here", parent, self.source)
+        if len(element):
+            raise refused("only units are expected here", element[0], self.source)
         units = text_of(element).split()
         if len(units) not in (1, count):
             raise refused(f"{len(units)} units where 1 or {count} are expected", element, self.source)
@@ -156,10 +221,34 @@ class _Reader:
             factor = self.spread_over(child(inner, SI, f"coverageFactor{ending}"), inner, count)
             if factor.min() < 1.0:
                 raise refused("a coverage factor is less than 1", inner, self.source)
+            if factor.max() > _LARGEST_COVERAGE:
+                raise refused(f"a coverage factor is larger than {_LARGEST_COVERAGE:g}", inner, self.source)
+            self._check_coverage(inner, ending, factor)
             found = found / factor
         if found.min() < 0.0:
             raise refused("an uncertainty is negative", inner, self.source)
         return found
+
+    def _check_coverage(self, inner: etree._Element, ending: str, factor: Array) -> None:
+        """Raise FormatError if a coverage probability is none, or contradicts the coverage factor (n,). Fewer degrees
+        of freedom make the factor larger than that of a normal distribution, never smaller."""
+        stated = child(inner, SI, f"coverageProbability{ending}")
+        if stated is None:
+            return
+        probability = self.spread_over(stated, inner, len(factor))
+        kinds = {one.casefold() for one in text_of(child(inner, SI, f"distribution{ending}")).split()}
+        if not (probability.min() > 0.0 and probability.max() < 1.0):
+            raise refused("a coverage probability is not between 0 and 1", stated, self.source)
+        normal = np.array([NormalDist().inv_cdf(0.5 + 0.5 * one) for one in probability.tolist()])
+        if kinds & _RECTANGULAR:
+            wrong = np.abs(factor / (math.sqrt(3.0) * probability) - 1.0) > _COVERAGE_MISFIT
+        elif "normal" in kinds:
+            wrong = np.abs(factor / normal - 1.0) > _COVERAGE_MISFIT
+        else:
+            wrong = factor < (1.0 - _COVERAGE_MISFIT) * normal if not kinds else np.zeros(len(factor), dtype=bool)
+        if wrong.any():
+            told = f"the coverage factor {factor[wrong][0]:g} contradicts the coverage probability"
+            raise refused(f"{told} {probability[wrong][0]:g}", stated, self.source, "Ask the laboratory which is right")
 
     def covariance(self, spread: etree._Element, count: int) -> Array:
         """Return the covariance (count, count) in SI units without prefixes, stated column by column."""
@@ -185,7 +274,8 @@ class _Reader:
         parts = []
         for one in children(column, SI, "covarianceXMLList", "covariance"):
             values = self.numbers(child(one, SI, "valueXMLList", "value"), one, None)
-            parts.append(values * self.factors(child(one, SI, "unitXMLList", "unit"), one, len(values), exponents))
+            factors = self.factors(child(one, SI, "unitXMLList", "unit"), one, len(values), exponents)
+            parts.append(self._scaled(values, factors, one))
         found = np.concatenate(parts) if parts else np.empty(0)
         if len(found) != count:
             raise refused(f"{len(found)} covariances in a column where {count} are expected", column, self.source)

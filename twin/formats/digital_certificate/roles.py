@@ -63,6 +63,15 @@ def role_of(quantity: etree._Element) -> Role | None:
     return None
 
 
+_NOT_MEASURED: Final = ("nominalValue", "referenceValue", "measurementError")
+
+
+def not_measured(quantity: etree._Element) -> str | None:
+    """Return the `refType` that says that a `dcc:quantity` is not a measured value; None if there is none."""
+    tokens = quantity.get("refType", "").split()
+    return next((token for token in tokens if token.rpartition("_")[2] in _NOT_MEASURED), None)
+
+
 def titles(element: etree._Element) -> tuple[str, ...]:
     """Return what an element may be called by: its names in all languages, its identity, and each `refType`."""
     names = [*contents(child(element, DCC, "name")), element.get("id", ""), *element.get("refType", "").split()]

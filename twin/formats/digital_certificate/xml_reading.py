@@ -85,6 +85,17 @@ def child(element: etree._Element, namespace: str, *names: str) -> etree._Elemen
     return next(iter(children(element, namespace, *names)), None)
 
 
+def required(parent: etree._Element, source: str, *names: str) -> etree._Element:
+    """Return the descendant of `parent` that the names lead to, level by level."""
+    at = parent
+    for name in names:
+        found = child(at, DCC, name)
+        if found is None:
+            raise refused(f"the certificate has no element '{name}' here", at, source)
+        at = found
+    return at
+
+
 def text_of(element: etree._Element | None) -> str:
     """Return the text of an element without the white space around it; empty if there is no element or no text."""
     return "" if element is None else (element.text or "").strip()
@@ -106,6 +117,14 @@ def path_of(element: etree._Element) -> str:
 def refused(message: str, element: etree._Element, source: str, hint: str = "") -> FormatError:
     """Return the error of an element, which names the file and the place of the element."""
     return FormatError(message, hint=hint, file=source, element=path_of(element))
+
+
+def refuse_loose_text(element: etree._Element, source: str) -> None:
+    """Raise FormatError if there is text between the children of an element that has only elements."""
+    for text in (element.text, *(one.tail for one in element)):
+        if text is not None and text.strip():
+            shown = " ".join(text.split())[:_LONGEST_QUOTE]
+            raise refused(f"the text '{shown}' is not expected here", element, source)
 
 
 def contents(element: etree._Element | None) -> Iterator[str]:
