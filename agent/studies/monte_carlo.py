@@ -351,7 +351,9 @@ def _draw_distribution(axes: Axes, found: SimulationComparison) -> None:
     axes.set_xlabel("volumetric error, rigidly aligned / µm")
     axes.set_xlim(left=0.0)
     from_zero(axes, "share of the machines below / %")
-    axes.legend(loc="lower right")
+    axes.set_ylim(top=145.0)  # room for the legend above the curves
+    axes.set_yticks(range(0, 101, 20))
+    axes.legend(loc="upper left")
     axes.set_title("Distribution over the machines")
 
 

@@ -133,8 +133,8 @@ class TestTruthRicherThanTheModel:
 
     def test_effects_with_which_most_machines_are_refused_are_named(self, tmp_path: Path) -> None:
         small = ["monte-carlo", "--machines", "2", "--stations", "2", "--set", "S3", "--workers", "1"]
-        done = here(*small, "--with", "heat=50K", "--out", tmp_path)
-        refused(done, 4, "of 2 simulated machines", "with heat=50K", "state smaller effects")
+        done = here(*small, "--with", "drift=1000um", "--out", tmp_path)
+        refused(done, 4, "of 2 simulated machines", "with drift=1000um", "state smaller effects")
         assert ".toml" not in done.stderr
         assert not list(tmp_path.iterdir())
 
