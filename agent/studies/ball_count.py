@@ -18,7 +18,7 @@ from agent.studies.measure import ALIGNED, AS_DEFINED, MEASURES, ErrorMeasure, s
 from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant, Verdict
 from agent.studies.study import Cell, StudyCase, StudyResult
 from agent.studies.verdict_figure import BrokenAxes, draw_legend
-from agent.studies.verdict_table import COLUMNS, cells, worst_deviation
+from agent.studies.verdict_table import COLUMNS, cells, refused_machines, worst_deviation
 
 NAME = "ball-count"
 COUNTS = tuple(range(3, 16))
@@ -109,6 +109,7 @@ def _summary(curves: Sequence[Curve], rows: Sequence[Sequence[Verdict]], before:
             ]
             for curve in curves
         },
+        "machines_refused": refused_machines(rows),
         "worst_deviation_in_standard_errors": worst_deviation(rows),
     }
 

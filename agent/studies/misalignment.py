@@ -14,7 +14,7 @@ from agent.studies.measure import ALIGNED, MEASURES, ErrorMeasure, values_before
 from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant, Verdict
 from agent.studies.study import StudyCase, StudyResult
 from agent.studies.verdict_figure import BrokenAxes, draw_legend
-from agent.studies.verdict_table import COLUMNS, cells, worst_deviation
+from agent.studies.verdict_table import COLUMNS, cells, refused_machines, worst_deviation
 
 NAME = "misalignment"
 TILTS_DEG = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
@@ -90,6 +90,7 @@ def _summary(
             ]
             for number, variant in enumerate(variants)
         },
+        "machines_refused": refused_machines([row for rows in by_set.values() for row in rows]),
         "worst_deviation_in_standard_errors": worst_deviation([row for rows in by_set.values() for row in rows]),
     }
 

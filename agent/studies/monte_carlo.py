@@ -5,11 +5,14 @@ Each machine is drawn, measured and identified independently of the others. It i
 measurements. The first identification is that of a run: it estimates scale factors for the uncertainties of noise,
 prior and model misfit, and rejects balls that contradict the others. The second identification uses all uncertainties
 as stated, as the closed form assumes.
+
+The identification may refuse a machine, for example because the artefact seems to have moved. Such a machine is counted
+and left out of the errors after compensation.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -17,12 +20,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from agent.errors import RunError
 from agent.figures.style import BAND_OPACITY, BLUE, GREEN, INK, ORANGE, from_zero
-from agent.studies.study import StudyCase, StudyResult
+from agent.studies.study import Cell, StudyCase, StudyResult
 from agent.studies.workers import generator
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
+from twin.errors import DataError, SingularSet
 from twin.identification import Options, identify
 from twin.machine.machine_population import Family
 from twin.machine.volumetric import VolumetricRms, evaluation_grid
@@ -50,6 +55,25 @@ class SimulatedMachine:
     rejected: int
 
 
+@dataclass(frozen=True)
+class RefusedMachine:
+    """Simulated machine whose measurement the identification refuses, as it would refuse the measurement of a run.
+
+    `number` is the number of the machine, and `truth` contains the true parameters of the error model. `reason` is the
+    message of the refusal. `undetermined` is True if the identification found no estimate, and False if it found that
+    the measurements contradict each other, the artefact or the machine.
+    """
+
+    number: int
+    truth: Array
+    reason: str
+    undetermined: bool
+
+
+Outcome = SimulatedMachine | RefusedMachine
+"""Result of the simulation of one machine."""
+
+
 @dataclass(frozen=True, eq=False)
 class ProcedureTask:
     """Task that draws the machine with a given number and simulates the measuring procedure and the identification on
@@ -74,11 +98,19 @@ class ProcedureTask:
         family = case.machine.family
         return cls(planned, case.artefact, family, case.assumptions, chosen, case.tool_offset, case.seed)
 
-    def __call__(self, number: int) -> SimulatedMachine:
+    def check(self) -> None:
+        """Identify the planned ball centres. Raises SingularSet if they do not determine a machine, because every
+        simulated machine would then be refused."""
+        identify(self.family.model, self.planned, self.artefact, self.family, self.options)
+
+    def __call__(self, number: int) -> Outcome:
         rng = generator(self.seed, number)
         truth = draw_truth(self.assumptions, rng, self.tool_offset)
         seen = simulated_observations(self.planned, self.artefact, truth, self.assumptions, rng)
-        found = identify(self.family.model, seen, self.artefact, self.family, self.options)
+        try:
+            found = identify(self.family.model, seen, self.artefact, self.family, self.options)
+        except (DataError, SingularSet) as refusal:
+            return RefusedMachine(number, truth.parameters, refusal.message, isinstance(refusal, SingularSet))
         return SimulatedMachine(truth.parameters, found.parameters, found.chi2_normalised, len(found.rejected))
 
 
@@ -87,19 +119,25 @@ class ErrorSample:
     """Volumetric errors in mm of a sample of machines, one value per machine in each array.
 
     `raw_mm` contains the errors without alignment; `aligned_mm` contains the errors after the best-fitting rigid motion
-    is removed.
+    is removed. `refused` is the number of further machines that the identification refused.
     """
 
     raw_mm: Array
     aligned_mm: Array
+    refused: int = 0
 
     @classmethod
-    def uncompensated(cls, form: FieldForm, machines: Sequence[SimulatedMachine]) -> ErrorSample:
+    def uncompensated(cls, form: FieldForm, machines: Sequence[Outcome]) -> ErrorSample:
+        """Return the errors of all `machines` without compensation."""
         return cls(*uncompensated_errors(form, _truths(machines)))
 
     @classmethod
-    def compensated(cls, form: FieldForm, machines: Sequence[SimulatedMachine]) -> ErrorSample:
-        return cls(*compensated_errors(form, _truths(machines), np.array([machine.estimate for machine in machines])))
+    def compensated(cls, form: FieldForm, machines: Sequence[Outcome]) -> ErrorSample:
+        """Return the errors after compensation of those `machines` that were identified, of which there must be at
+        least one."""
+        found = identified(machines)
+        errors = compensated_errors(form, _truths(found), np.array([machine.estimate for machine in found]))
+        return cls(*errors, refused=len(machines) - len(found))
 
     @property
     def expected(self) -> VolumetricRms:
@@ -113,6 +151,37 @@ class ErrorSample:
         return VolumetricRms(*(_error_of_root(values) for values in (self.raw_mm, self.aligned_mm)))
 
 
+def identified(machines: Sequence[Outcome]) -> list[SimulatedMachine]:
+    """Return those `machines` that the identification did not refuse."""
+    return [machine for machine in machines if isinstance(machine, SimulatedMachine)]
+
+
+def refused(machines: Sequence[Outcome]) -> list[RefusedMachine]:
+    """Return those `machines` that the identification refused."""
+    return [machine for machine in machines if isinstance(machine, RefusedMachine)]
+
+
+def mostly_refused(machines: Sequence[Outcome]) -> bool:
+    """Return True if the identification refused more than half of `machines`; the others then represent nothing."""
+    return 2 * len(refused(machines)) > len(machines)
+
+
+def check_refusals(case: StudyCase, machines: Sequence[Outcome]) -> None:
+    """Raise RunError if the identification refused more than half of `machines`. The message names the effects and the
+    true machines that were stated, and the reason of the first refusal."""
+    if not mostly_refused(machines):
+        return
+    found = refused(machines)
+    hint = "use another position set, or other errors of the machine in its file"
+    if case.differences:
+        hint = "state smaller effects, or true machines that are more like the identified one"
+    raise RunError(
+        f"the identification refuses {len(found)} of {len(machines)} simulated machines{case.differences}, as it would "
+        f"refuse such a run; machine {found[0].number}: {found[0].reason}",
+        hint=hint,
+    )
+
+
 def run(case: StudyCase) -> StudyResult:
     """Simulate `case.machines` machines, measured in the position set of `case`, and compare their volumetric errors
     before and after compensation (VE and VCE) with the values computed in closed form."""
@@ -121,9 +190,12 @@ def run(case: StudyCase) -> StudyResult:
     form = FieldForm.build(case.machine.model, case.assumptions, grid, case.tool_offset)
     stated = with_stated_scales(case.options)
     closed = error_budget_of_form(form, case.machine.family, case.artefact, planned, stated).expected
-    numbers = range(case.machines)
-    plain = case.map(ProcedureTask.of(case, planned, stated), numbers, "machines, scales as stated")
+    numbers, as_stated = range(case.machines), ProcedureTask.of(case, planned, stated)
+    as_stated.check()
+    plain = case.map(as_stated, numbers, "machines, scales as stated")
+    check_refusals(case, plain)
     usual = case.map(ProcedureTask.of(case, planned), numbers, "machines, as a run identifies")
+    check_refusals(case, usual)
     found = SimulationComparison(
         closed,
         ErrorSample.uncompensated(form, plain),
@@ -134,8 +206,8 @@ def run(case: StudyCase) -> StudyResult:
         name=NAME,
         title="Volumetric error of machines measured and identified one by one",
         columns=COLUMNS,
-        rows=_rows(found, usual),
-        summary=_summary(case, found, usual, planned.size),
+        rows=_rows(found, plain, usual),
+        summary=_summary(found, plain, usual) | {"balls_measured": planned.size},
         draw=partial(_draw, found=found),
         size_in=(10.0, 4.2),
     )
@@ -154,7 +226,8 @@ class SimulationComparison:
     `closed` is the volumetric error after compensation (VCE) in closed form, and `before` the simulated volumetric
     error without compensation. `plain` is the simulated VCE if machines are identified with all uncertainties as
     stated, as `closed` assumes. `usual` is the simulated VCE if machines are identified as in a run, which estimates
-    scale factors for the uncertainties.
+    scale factors for the uncertainties. `before` contains all machines, and `plain` and `usual` those that were
+    identified.
     """
 
     closed: VolumetricRms
@@ -173,26 +246,43 @@ COLUMNS = (
     "vce_scales_as_stated_aligned_um",
     "chi2_normalised",
     "balls_rejected",
+    "refused",
 )
+"""Columns of the table. The last one contains the reason if the machine is refused as a run identifies it."""
 
 
-def _rows(found: SimulationComparison, usual: Sequence[SimulatedMachine]) -> list[list[float]]:
-    errors = [UM_PER_MM * values for part in (found.before, found.usual, found.plain) for values in _both(part)]
+def _rows(found: SimulationComparison, plain: Sequence[Outcome], usual: Sequence[Outcome]) -> list[list[Cell]]:
+    before = zip(
+        (UM_PER_MM * found.before.raw_mm).tolist(), (UM_PER_MM * found.before.aligned_mm).tolist(), strict=True
+    )
+    errors = zip(before, _errors_um(found.usual, usual), _errors_um(found.plain, plain), strict=True)
     return [
-        [number, *(float(values[number]) for values in errors), machine.chi2_normalised, machine.rejected]
-        for number, machine in enumerate(usual)
+        [number, *(value for pair in pairs for value in pair), *_facts(machine)]
+        for number, (pairs, machine) in enumerate(zip(errors, usual, strict=True))
     ]
 
 
-def _both(spread: ErrorSample) -> tuple[Array, Array]:
-    return spread.raw_mm, spread.aligned_mm
+def _errors_um(sample: ErrorSample, machines: Sequence[Outcome]) -> Iterator[tuple[float | None, float | None]]:
+    """Yield the errors in µm, as defined and aligned, of each of `machines`; None if it was refused. `sample` contains
+    those of the others."""
+    errors = zip((UM_PER_MM * sample.raw_mm).tolist(), (UM_PER_MM * sample.aligned_mm).tolist(), strict=True)
+    for machine in machines:
+        yield (None, None) if isinstance(machine, RefusedMachine) else next(errors)
 
 
-def _summary(
-    case: StudyCase, found: SimulationComparison, usual: Sequence[SimulatedMachine], balls: int
-) -> dict[str, object]:
+def _facts(machine: Outcome) -> tuple[Cell, Cell, Cell]:
+    if isinstance(machine, RefusedMachine):
+        return None, None, machine.reason
+    return machine.chi2_normalised, machine.rejected, None
+
+
+def _summary(found: SimulationComparison, plain: Sequence[Outcome], usual: Sequence[Outcome]) -> dict[str, object]:
     return {
-        "balls_measured": balls,
+        "machines_refused": {"as_a_run_identifies": found.usual.refused, "scales_as_stated": found.plain.refused},
+        "refusals": {
+            name: [{"machine": one.number, "reason": one.reason} for one in refused(machines)]
+            for name, machines in (("as_a_run_identifies", usual), ("scales_as_stated", plain))
+        },
         "ve": _figures(found.before),
         "vce": _figures(found.usual),
         "vce_scales_as_stated": _figures(found.plain),
@@ -203,8 +293,8 @@ def _summary(
                 found.plain.expected.aligned_mm, found.closed.aligned_mm, found.plain.standard_error.aligned_mm
             ),
         },
-        "chi2_normalised_mean": float(np.mean([machine.chi2_normalised for machine in usual])),
-        "balls_rejected": sum(machine.rejected for machine in usual),
+        "chi2_normalised_mean": float(np.mean([machine.chi2_normalised for machine in identified(usual)])),
+        "balls_rejected": sum(machine.rejected for machine in identified(usual)),
     }
 
 
@@ -230,7 +320,7 @@ def _figures(spread: ErrorSample) -> dict[str, object]:
     return figures
 
 
-def _truths(machines: Sequence[SimulatedMachine]) -> Array:
+def _truths(machines: Sequence[Outcome]) -> Array:
     return np.array([machine.truth for machine in machines])
 
 
@@ -255,11 +345,15 @@ def _draw_distribution(axes: Axes, found: SimulationComparison) -> None:
         (found.plain, GREEN, "VCE, scales as stated"),
     ):
         values = np.sort(spread.aligned_mm) * UM_PER_MM
-        axes.step(values, 100.0 * (np.arange(len(values)) + 1.0) / len(values), color=colour, label=label, where="post")
+        share = 100.0 * (np.arange(len(values)) + 1.0) / len(values)
+        without = f"; {spread.refused} refused left out" if spread.refused else ""
+        axes.step(values, share, color=colour, label=label + without, where="post")
     axes.set_xlabel("volumetric error, rigidly aligned / µm")
     axes.set_xlim(left=0.0)
     from_zero(axes, "share of the machines below / %")
-    axes.legend(loc="lower right")
+    axes.set_ylim(top=145.0)  # room for the legend above the curves
+    axes.set_yticks(range(0, 101, 20))
+    axes.legend(loc="upper left")
     axes.set_title("Distribution over the machines")
 
 
@@ -273,7 +367,7 @@ def _draw_convergence(axes: Axes, found: SimulationComparison) -> None:
     axes.fill_between(count, np.sqrt(mean) - error, np.sqrt(mean) + error, color=GREEN, alpha=BAND_OPACITY, lw=0.0)
     axes.plot(count, np.sqrt(mean), color=GREEN, label="simulation, scales as stated, ± 2 standard errors")
     axes.axhline(found.closed.aligned_um, color=INK, linestyle="--", label="closed form")
-    axes.set_xlabel("machines simulated")
+    axes.set_xlabel("machines identified")
     from_zero(axes, "root mean square VCE, aligned / µm")
     axes.legend(loc="lower right")
     axes.set_title("Simulation and closed form")

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from agent.studies.identification_variants import IdentificationVariant
-from agent.studies.monte_carlo import ErrorSample, ProcedureTask, SimulatedMachine
+from agent.studies.monte_carlo import ErrorSample, Outcome, ProcedureTask, mostly_refused, refused
 from agent.studies.study import StudyCase
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
@@ -55,9 +55,10 @@ class Verdict:
     `expected` is the square root of the expected mean square VCE, computed in closed form. It is None if the
     measurements do not identify the machine. `simulated` is the rms VCE of `machines` simulated machines, and
     `standard_error` is the standard error of this rms value. `simulated` and `standard_error` are None if the procedure
-    was not simulated. `in_work_frame_mm` is the counterpart of `expected` for a workpiece that is set up in the middle
-    of the travel (`twin.uncertainty.work_frame`); it is None if that was not computed or if
-    `expected` is None.
+    was not simulated, or if the identification refuses more than half of the machines. `refused` is the number of
+    further machines that it refuses because their measurements contradict. `in_work_frame_mm` is the counterpart of
+    `expected` for a workpiece that is set up in the middle of the travel (`twin.uncertainty.work_frame`); it is None if
+    that was not computed or if `expected` is None.
     """
 
     expected: VolumetricRms | None
@@ -65,16 +66,26 @@ class Verdict:
     standard_error: VolumetricRms | None = None
     machines: int = 0
     in_work_frame_mm: float | None = None
+    refused: int = 0
 
-    def with_simulation(self, spread: ErrorSample | None) -> Verdict:
-        """Return the verdict with simulation results added. `spread` contains the volumetric error after compensation
-        (VCE) of each simulated machine. It is None if one of the machines could not be identified. In this case the
-        result is a verdict "not identified", whose `expected` is None.
+    def with_simulation(self, field: FieldForm, machines: Sequence[Outcome]) -> Verdict:
+        """Return the verdict with the results of the simulated `machines` added, whose volumetric error after
+        compensation (VCE) is computed with `field`.
+
+        If the measurements of one of the machines do not determine its errors, the result is a verdict "not
+        identified", whose `expected` is None.
         """
-        if spread is None:
+        if any(machine.undetermined for machine in refused(machines)):
             return Verdict(None)
+        if mostly_refused(machines):
+            return replace(self, refused=len(refused(machines)))
+        spread = ErrorSample.compensated(field, machines)
         return replace(
-            self, simulated=spread.expected, standard_error=spread.standard_error, machines=len(spread.raw_mm)
+            self,
+            simulated=spread.expected,
+            standard_error=spread.standard_error,
+            machines=len(spread.raw_mm),
+            refused=spread.refused,
         )
 
 
@@ -135,8 +146,8 @@ class ProcedureEvaluator:
             if rows[row][variant].expected is not None
         ]
         share = max(self.case.machines // max(len(simulated), 1), MIN_MACHINES)
-        for (row, variant), spread in zip(pairs, self._spreads(trials, variants, pairs, share), strict=True):
-            rows[row][variant] = rows[row][variant].with_simulation(spread)
+        for (row, variant), machines in zip(pairs, self._simulated(trials, variants, pairs, share), strict=True):
+            rows[row][variant] = rows[row][variant].with_simulation(self.field, machines)
         return [tuple(row) for row in rows]
 
     def _expected(self, trial: ProcedureVariant, variant: IdentificationVariant) -> Verdict:
@@ -145,25 +156,20 @@ class ProcedureEvaluator:
             return Verdict(None)
         return Verdict(budget.expected, in_work_frame_mm=self.work_frame.expected_mm(budget))
 
-    def _spreads(
+    def _simulated(
         self,
         trials: Sequence[ProcedureVariant],
         variants: Sequence[IdentificationVariant],
         pairs: Sequence[tuple[int, int]],
         share: int,
-    ) -> list[ErrorSample | None]:
-        """Return the VCE of `share` machines for each (trial, variant) pair; None for a pair if one of the machines is
-        not identified."""
+    ) -> list[list[Outcome]]:
+        """Return `share` simulated machines for each (trial, variant) pair."""
         if not pairs:
             return []
         tasks = tuple(self.procedure(trials[row], variants[variant]) for row, variant in pairs)
         items = [(task, machine) for task in range(len(tasks)) for machine in range(share)]
         found = self.case.map(_ProcedureOnMachine(tasks), items, "simulated machines")
-        return [self._spread(found[start : start + share]) for start in range(0, len(found), share)]
-
-    def _spread(self, found: Sequence[SimulatedMachine | None]) -> ErrorSample | None:
-        machines = [machine for machine in found if machine is not None]
-        return ErrorSample.compensated(self.field, machines) if len(machines) == len(found) else None
+        return [found[start : start + share] for start in range(0, len(found), share)]
 
     def procedure(self, trial: ProcedureVariant, variant: IdentificationVariant) -> ProcedureTask:
         """Return a task that simulates the procedure `trial` on one machine. The task is called with the number of the
@@ -201,25 +207,14 @@ def budget_if_identified(
         return None
 
 
-def simulate_if_identified(procedure: ProcedureTask, machine: int) -> SimulatedMachine | None:
-    """Simulate the measuring procedure `procedure` on the machine with the number `machine`, and return the simulated
-    machine with its identification. Return None if the procedure does not identify this machine.
-
-    A position set that barely identifies the nominal machine may fail to identify some of the simulated machines.
-    """
-    try:
-        return procedure(machine)
-    except SingularSet:
-        return None
-
-
 @dataclass(frozen=True, eq=False)
 class _ProcedureOnMachine:
     """Task that simulates one of several procedures on one machine, given the procedure's index and the machine's
-    number."""
+    number. A position set that barely identifies the nominal machine may fail to identify some of the simulated
+    machines."""
 
     procedures: tuple[ProcedureTask, ...]
 
-    def __call__(self, item: tuple[int, int]) -> SimulatedMachine | None:
+    def __call__(self, item: tuple[int, int]) -> Outcome:
         procedure, machine = item
-        return simulate_if_identified(self.procedures[procedure], machine)
+        return self.procedures[procedure](machine)

@@ -21,7 +21,7 @@ from agent.studies.measure import ALIGNED, AS_DEFINED, MEASURES, ErrorMeasure, v
 from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant, Verdict
 from agent.studies.study import Cell, StudyCase, StudyResult
 from agent.studies.verdict_figure import BrokenAxes, draw_legend
-from agent.studies.verdict_table import COLUMNS, cells, worst_deviation
+from agent.studies.verdict_table import COLUMNS, cells, refused_machines, worst_deviation
 from twin.artefact.position_set import POSITION_SETS, SET_EXPRESSIONS, Position
 from twin.uncertainty.work_frame import WorkFrameForm
 from twin.units import UM_PER_MM
@@ -224,6 +224,7 @@ def _summary(
             variant.label: [one.name for one in found if one.verdicts[number].expected is None]
             for number, variant in enumerate(variants)
         },
+        "machines_refused": refused_machines([one.verdicts for one in found]),
         "worst_deviation_in_standard_errors": worst_deviation([one.verdicts for one in found]),
     }
 

@@ -16,7 +16,8 @@ from agent.figures.style import BAND_OPACITY, INK, SERIES
 from agent.planning.design.bar_variants import Bar
 from agent.studies.identification_variants import IdentificationVariant, identification_variants
 from agent.studies.measure import ALIGNED, AS_DEFINED
-from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant, simulate_if_identified
+from agent.studies.monte_carlo import RefusedMachine
+from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant
 from agent.studies.study import Cell, StudyCase, StudyResult
 from agent.studies.workers import generator
 from twin.arrays import Array
@@ -78,7 +79,7 @@ def run(case: StudyCase) -> StudyResult:
         title="Deviation along Z: machine and compensation model",
         columns=_columns(),
         rows=[[*left, *right[1:]] for left, right in zip(_rows(followed), _rows(defined), strict=True)],
-        summary=_summary(followed, defined, line),
+        summary=_summary(followed, defined, line) | {"refusals": _keyed(identified.reasons)},
         draw=partial(_draw, both=(defined, followed), title=f"One machine at {where}; {variant.title}"),
         size_in=(10.0, 8.0),
     )
@@ -97,27 +98,33 @@ def middle_line(ranges_mm: Ranges) -> Array:
 @dataclass(frozen=True, eq=False)
 class IdentifiedModels:
     """True parameters of simulated machine number 0, and the parameters and error budget of each of its models by the
-    number of balls. A number of balls that does not identify the machine is left out."""
+    number of balls. A number of balls that does not identify the machine is left out. `reasons` contains the messages
+    of the identification for those that it refused."""
 
     field: FieldForm
     truth: Array
     models: dict[int, tuple[Array, ErrorBudget]]
+    reasons: dict[int, str]
 
     @classmethod
     def of(cls, case: StudyCase, variant: IdentificationVariant) -> IdentifiedModels:
         """Identify the machine with bars of 3, 5 and 11 balls."""
         evaluator, bar, positions = ProcedureEvaluator(case), Bar.of(case.artefact), case.positions()
-        models = {}
+        models, reasons = dict[int, tuple[Array, ErrorBudget]](), dict[int, str]()
         for done, count in enumerate(COUNTS):
             case.progress("numbers of balls", done, len(COUNTS))
             trial = ProcedureVariant.of(case, bar.with_(balls=count), positions)
             budget = evaluator.budget(trial, variant)
-            found = None if budget is None else simulate_if_identified(evaluator.procedure(trial, variant), 0)
-            if budget is not None and found is not None:
+            if budget is None:
+                continue
+            found = evaluator.procedure(trial, variant)(0)
+            if isinstance(found, RefusedMachine):
+                reasons[count] = found.reason
+            else:
                 models[count] = (found.estimate, budget)
         case.progress("numbers of balls", len(COUNTS), len(COUNTS))
         truth = draw_truth(case.assumptions, generator(case.seed, 0), case.tool_offset).parameters
-        return cls(evaluator.field, truth, models)
+        return cls(evaluator.field, truth, models, reasons)
 
     def along(self, line: Array, *, aligned: bool) -> TrajectoryResult:
         """Return the deviations at the n axis positions `line` (n, 3) in mm. If `aligned`, the best-fitting rigid
@@ -130,6 +137,10 @@ class IdentifiedModels:
             {count: 1e3 * (basis[:, :, self.field.model_indices] @ estimate) for count, (estimate, _) in found},
             {count: 1e3 * budget.field_uncertainty(line, aligned) for count, (_, budget) in found},
         )
+
+
+def _keyed(reasons: dict[int, str]) -> dict[str, str]:
+    return {f"{count}_balls": reason for count, reason in reasons.items()}
 
 
 def _rms(vectors: Array) -> float:

@@ -16,8 +16,8 @@ from twin.uncertainty.measurement_effects import LobingEffect, LostMotionEffect,
 from twin.uncertainty.truth_assumptions import TruthAssumptions
 from twin.units import MM_PER_UM
 
-_STATED = re.compile(r"([a-z]+)=(\d{1,9}(?:\.\d{1,9})?)(um|µm|K|C)", re.ASCII)
-_UNITS = {"um": "µm", "µm": "µm", "K": "K", "C": "°C"}
+_STATED = re.compile(r"([a-z]+)=(\d{1,9}(?:\.\d{1,9})?)(um|µm|\u03bcm|K|C)", re.ASCII)
+_UNITS = {"um": "µm", "µm": "µm", "\u03bcm": "µm", "K": "K", "C": "°C"}
 
 WITH_EFFECTS = (
     "ball-count", "claims", "design", "misalignment", "monte-carlo", "strategy", "trajectory", "uncertainty",

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.studies.monte_carlo import ErrorSample, ProcedureTask, deviation, with_stated_scales
+from agent.studies.monte_carlo import ErrorSample, ProcedureTask, check_refusals, deviation, with_stated_scales
 from agent.studies.study import StudyCase, StudyResult
 from agent.studies.uncertainty_figure import InfluenceResult, UncertaintyResult, draw
 from twin.artefact.observations import Observations
@@ -72,6 +72,7 @@ def run(case: StudyCase) -> StudyResult:
     trial = _Trial.of(case)
     assumptions = study_assumptions(case)
     budget = trial.budget(assumptions)
+    ProcedureTask.of(case, trial.planned, trial.options).check()
     together = trial.simulated(assumptions, TOGETHER)
     parts = [
         InfluenceResult(name, budget.contributions[name], None if alone is None else trial.simulated(alone, name))
@@ -115,9 +116,12 @@ class _Trial:
         )
 
     def simulated(self, assumptions: TruthAssumptions, what: str) -> ErrorSample:
-        """Return the VCE of the case's machines, drawn under `assumptions`. `what`: label of the progress."""
+        """Return the VCE of the case's machines, drawn under `assumptions`. `what`: label of the progress. Raises
+        RunError if the identification refuses more than half of them."""
         task = replace(ProcedureTask.of(self.case, self.planned, self.options), assumptions=assumptions)
-        return ErrorSample.compensated(self.form(assumptions), self.case.map(task, range(self.case.machines), what))
+        machines = self.case.map(task, range(self.case.machines), what)
+        check_refusals(self.case, machines)
+        return ErrorSample.compensated(self.form(assumptions), machines)
 
 
 def study_assumptions(case: StudyCase) -> TruthAssumptions:
@@ -202,6 +206,7 @@ def _figures(budget: ErrorBudget, together: ErrorSample) -> dict[str, object]:
     (low, high), median = budget.distribution.limits(), budget.distribution.median
     inside = (together.aligned_mm >= low.aligned_mm) & (together.aligned_mm <= high.aligned_mm)
     return {
+        "machines_refused": together.refused,
         "ve_expected_aligned_um": budget.uncompensated.aligned_um,
         "vce_expected_raw_um": expected.raw_um,
         "vce_expected_aligned_um": expected.aligned_um,

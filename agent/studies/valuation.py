@@ -15,9 +15,10 @@ from scipy.stats import spearmanr
 
 from agent.figures.style import BLUE, INK, ORANGE, from_zero
 from agent.planning.design.set_valuation import valuation_of
-from agent.studies.monte_carlo import ErrorSample, ProcedureTask, SimulatedMachine
+from agent.studies.monte_carlo import ErrorSample, Outcome, ProcedureTask, check_refusals, mostly_refused, refused
 from agent.studies.study import StudyCase, StudyResult
 from agent.studies.workers import generator
+from twin.arrays import Array
 from twin.artefact.position_set import Position
 from twin.design.candidates import orientation_grid
 from twin.errors import DataError
@@ -41,6 +42,7 @@ COLUMNS = (
     "simulated_vce_um",
     "standard_error_um",
     "machines",
+    "machines_refused",
 )
 
 
@@ -53,7 +55,7 @@ class SetTask:
     procedures: Sequence[ProcedureTask]
     machines: int
 
-    def __call__(self, number: int) -> list[SimulatedMachine]:
+    def __call__(self, number: int) -> list[Outcome]:
         return [self.procedures[number](machine) for machine in range(self.machines)]
 
 
@@ -63,6 +65,9 @@ class SimulatedSet:
     `expected_um` is the expected volumetric error after compensation (VCE), `simulated_um` is the rms VCE of the
     simulated machines, and `error_um` is the standard error of this rms value. All errors are computed after the
     best-fitting rigid motion is removed.
+
+    `machines` is the number of simulated machines, and `refused` the number of those that the identification refuses;
+    the simulated values are those of the others. If more than half are refused, `simulated_um` and `error_um` are None.
     """
 
     name: str
@@ -70,8 +75,10 @@ class SimulatedSet:
     stations: int
     valuation: float
     expected_um: float
-    simulated_um: float
-    error_um: float
+    simulated_um: float | None
+    error_um: float | None
+    machines: int
+    refused: int
 
 
 def run(case: StudyCase) -> StudyResult:
@@ -84,20 +91,22 @@ def run(case: StudyCase) -> StudyResult:
     planned = [case.procedure.plan(positions) for _, positions in sets]
     task = SetTask([ProcedureTask.of(case, one.observations) for one in planned], machines)
     simulated = case.map(task, range(len(sets)), f"sets, {machines} machines each")
+    _check_sets(case, simulated)
     grid = evaluation_grid(case.machine.model.ranges_mm)
     form = FieldForm.build(case.machine.model, case.assumptions, grid, case.tool_offset)
     tried = [
-        _evaluate_set(case, name, one.positions, ErrorSample.compensated(form, found))
+        _evaluate_set(case, name, one.positions, form, found)
         for (name, _), one, found in zip(sets, planned, simulated, strict=True)
     ]
+    used = [one for one in tried if one.simulated_um is not None]
     before = ErrorSample.uncompensated(form, simulated[0]).expected.aligned_um
     return StudyResult(
         name=NAME,
         title="The valuation of a set against the error that is really left",
         columns=COLUMNS,
-        rows=[(*vars(one).values(), machines) for one in tried],
-        summary=_summary(tried, before, machines),
-        draw=partial(_draw, tried=tried, before_um=before),
+        rows=[tuple(vars(one).values()) for one in tried],
+        summary=_summary(tried, used, before, machines),
+        draw=partial(_draw, tried=used, before_um=before),
     )
 
 
@@ -125,7 +134,17 @@ def _within_reach(case: StudyCase) -> list[Position]:
     return reached
 
 
-def _evaluate_set(case: StudyCase, name: str, positions: Sequence[Position], left: ErrorSample) -> SimulatedSet:
+def _check_sets(case: StudyCase, simulated: Sequence[Sequence[Outcome]]) -> None:
+    """Raise RunError if the identification refuses more than half of the machines in more than half of the sets."""
+    useless = [machines for machines in simulated if mostly_refused(machines)]
+    if 2 * len(useless) > len(simulated):
+        check_refusals(case, [machine for machines in useless for machine in machines])
+
+
+def _evaluate_set(
+    case: StudyCase, name: str, positions: Sequence[Position], form: FieldForm, machines: Sequence[Outcome]
+) -> SimulatedSet:
+    left = None if mostly_refused(machines) else ErrorSample.compensated(form, machines)
     worth = valuation_of(case.job, positions)
     return SimulatedSet(
         name=name,
@@ -133,22 +152,33 @@ def _evaluate_set(case: StudyCase, name: str, positions: Sequence[Position], lef
         stations=len({position.station for position in positions}),
         valuation=worth.percent,
         expected_um=worth.after.aligned_um,
-        simulated_um=left.expected.aligned_um,
-        error_um=left.standard_error.aligned_um,
+        simulated_um=None if left is None else left.expected.aligned_um,
+        error_um=None if left is None else left.standard_error.aligned_um,
+        machines=len(machines),
+        refused=len(refused(machines)),
     )
 
 
-def _summary(tried: Sequence[SimulatedSet], before_um: float, machines: int) -> dict[str, object]:
-    valuations, simulated = [one.valuation for one in tried], [one.simulated_um for one in tried]
+def _summary(
+    tried: Sequence[SimulatedSet], used: Sequence[SimulatedSet], before_um: float, machines: int
+) -> dict[str, object]:
+    """Return the summary. `used` are those of the sets `tried` that have simulated values."""
+    valuations, simulated = [one.valuation for one in used], _simulated_um(used)
     return {
         "set": f"{RANDOM_SETS} random sets and {', '.join(NAMED)}",
         "machines": machines,
         "sets": len(tried),
+        "sets_refused": len(tried) - len(used),
+        "machines_refused": sum(one.refused for one in tried),
         "simulated_ve_um": before_um,
         "rank_correlation": float(-spearmanr(valuations, simulated).statistic),
         "correlation": float(-np.corrcoef(valuations, simulated)[0, 1]),
-        "simulated_over_expected": float(np.median([one.simulated_um / one.expected_um for one in tried])),
+        "simulated_over_expected": float(np.median(simulated / np.array([one.expected_um for one in used]))),
     }
+
+
+def _simulated_um(used: Sequence[SimulatedSet]) -> Array:
+    return np.array([one.simulated_um for one in used], dtype=np.float64)
 
 
 def _draw(figure: Figure, tried: Sequence[SimulatedSet], before_um: float) -> None:
@@ -160,17 +190,17 @@ def _draw(figure: Figure, tried: Sequence[SimulatedSet], before_um: float) -> No
     ):
         axes.errorbar(
             [one.valuation for one in group],
-            [one.simulated_um for one in group],
-            [one.error_um for one in group],
+            _simulated_um(group),
+            np.array([one.error_um for one in group], dtype=np.float64),
             fmt=marker,
             color=colour,
             elinewidth=0.8,
             label=label,
         )
-    for one in named:
+    for one, simulated_um in zip(named, _simulated_um(named), strict=True):
         both = one.name.count("+") == 1  # as good as all sets together: its name goes to the other side
         offset, side = ((-6, -14), "right") if both else ((6, -14 if "+" in one.name else 4), "left")
-        axes.annotate(one.name, (one.valuation, one.simulated_um), offset, textcoords="offset points", ha=side)
+        axes.annotate(one.name, (one.valuation, simulated_um), offset, textcoords="offset points", ha=side)
     axes.plot(
         [0.0, 100.0],
         [before_um, 0.0],
@@ -179,7 +209,7 @@ def _draw(figure: Figure, tried: Sequence[SimulatedSet], before_um: float) -> No
         linewidth=0.9,
         label="VE of these machines, reduced by the valuation",
     )
-    rank = float(-spearmanr([one.valuation for one in tried], [one.simulated_um for one in tried]).statistic)
+    rank = float(-spearmanr([one.valuation for one in tried], _simulated_um(tried)).statistic)
     axes.set_xlabel("valuation before anything moves / %")
     axes.set_xlim(0.0, 100.0)
     axes.set_title(f"Valuation and simulated VCE of {len(tried)} sets (rank correlation {rank:.3f})")

@@ -21,9 +21,11 @@ COLUMNS = (
     "simulated_vce_raw_standard_error_um",
     "simulated_vce_aligned_um",
     "simulated_vce_aligned_standard_error_um",
+    "machines_refused",
 )
 """Columns of a verdict. `vce_…` are in closed form; a cell is empty if the machine is not identified or not
-simulated."""
+simulated. `machines_refused` counts simulated machines that the identification refuses because their measurements
+contradict; the simulated values are those of the others."""
 
 
 MIN_MACHINES = 30
@@ -37,7 +39,12 @@ def cells(label: str, trial: ProcedureVariant, verdict: Verdict) -> tuple[Cell, 
     measured = 0 if trial.planned is None else trial.planned.size
     expected = [measure.um(verdict) for measure in MEASURES]
     simulated, error = _both(verdict.simulated), _both(verdict.standard_error)
-    return (label, measured, *expected, simulated[0], error[0], simulated[1], error[1])
+    return (label, measured, *expected, simulated[0], error[0], simulated[1], error[1], verdict.refused)
+
+
+def refused_machines(rows: Sequence[Sequence[Verdict]]) -> int:
+    """Return the number of simulated machines that the identification refuses, over all verdicts in `rows`."""
+    return sum(verdict.refused for row in rows for verdict in row)
 
 
 def worst_deviation(rows: Sequence[Sequence[Verdict]]) -> float | None:

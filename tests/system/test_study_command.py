@@ -131,6 +131,13 @@ class TestTruthRicherThanTheModel:
         assert found["vce_closed_form"]["aligned_um"] > before["vce_closed_form"]["aligned_um"] + 0.5
         assert "with backlash=8um, gradient=0.2K" in (tmp_path / "with" / "monte-carlo.svg").read_text()
 
+    def test_effects_with_which_most_machines_are_refused_are_named(self, tmp_path: Path) -> None:
+        small = ["monte-carlo", "--machines", "2", "--stations", "2", "--set", "S3", "--workers", "1"]
+        done = here(*small, "--with", "drift=1000um", "--out", tmp_path)
+        refused(done, 4, "of 2 simulated machines", "with drift=1000um", "state smaller effects")
+        assert ".toml" not in done.stderr
+        assert not list(tmp_path.iterdir())
+
 
 class TestBadInput:
     @pytest.mark.parametrize(

@@ -74,11 +74,18 @@ class LostMotionEffect:
 
 @dataclass(frozen=True)
 class WarmingEffect:
-    """Machine whose temperature changes in proportion to the number of measured balls.
+    """Machine whose temperature changes from the first to the last measured ball.
 
-    `rise_k` is the standard deviation, over machines, of the change until the last ball. If `bends` is False, scales
-    and the tip position grow; if it is True, angles change and guides bow because the parts of the machine differ in
-    temperature. Sizes per kelvin are those of `prior`.
+    If `bends` is False, scales and the tip position grow in proportion to the number of measured balls, and `rise_k` is
+    the standard deviation, over machines, of the temperature change in K until the last ball.
+
+    If `bends` is True, angles change and guides bow because the parts of the machine differ in temperature. They follow
+    two independent regressors, as in `twin.thermal.growth_and_bending`: one grows in proportion to the number of balls,
+    with the standard deviation `rise_k` until the last ball, and the other, for parts with a thermal lag, grows with
+    the square of this number, with 0.4 (`SECOND_REGRESSOR_SHARE`) of that. The standard deviation of the temperature
+    difference until the last ball is therefore rise_k * sqrt(1 + 0.4^2) = 1.077 rise_k.
+
+    Sizes per kelvin are those of `prior`.
     """
 
     rise_k: float
