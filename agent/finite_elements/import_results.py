@@ -75,7 +75,7 @@ def import_results(files: Sequence[Path], positions: Path | None, options: Impor
     Raises InputError, which names file, row and column where there are any, if something is missing, is given twice, or
     contradicts the statements of the user.
     """
-    found, unused = _read_all(files, positions, options)
+    found, lost, unused = _read_all(files, positions, options)
     turned = [one.rotation for one in found if one.rotation is not None]
     if turned and len(turned) != len(found):
         bare = next(one.label for one in found if one.rotation is None)
@@ -92,24 +92,25 @@ def import_results(files: Sequence[Path], positions: Path | None, options: Impor
         )
         if not options.any_size:
             check_size(moved, options.unit)
-        return ImportedGrid(assemble_grid(moved, options.fill), unused, moved.largest_um)
+        return ImportedGrid(assemble_grid(moved, options.fill, np.array(lost).reshape(-1, 3)), unused, moved.largest_um)
 
 
 def _read_all(
     files: Sequence[Path], table: Path | None, options: ImportOptions
-) -> tuple[list[_Found], tuple[str, ...]]:
+) -> tuple[list[_Found], list[Components], tuple[str, ...]]:
+    """Return the results, the axis positions in mm whose results are missing, and the names of unused results."""
     for number, file in enumerate(files):
         if file.name in (other.name for other in files[:number]):
             hint = "the table of positions names files without their folder: rename one of the two"
             raise InputError("a second file has the same name", hint=hint, file=str(file))
     if table is None:
-        return _of_one_table(files)
+        return _of_one_table(files), [], ()
     with translated(InputError, file=str(table)):
         positions = parse_positions_of_results(read_text(table), str(table))
     texts = {file.name: _steps(file) for file in files if file.suffix.lower() in TEXT_SUFFIXES}
     meshes = {file.name: file for file in files if file.name not in texts}
     used: set[tuple[str, int | None]] = set()
-    found, lost = [], []
+    found, lost, axes_lost = [], [], []
     for position in positions:
         name = _file_of(position, files, table)
         label = f"row {position.row} of {table.name}"
@@ -118,6 +119,7 @@ def _read_all(
             found.append(_of_mesh(position, meshes[name], options, label))
         elif position.load_step is not None and position.load_step not in texts[name].by_step:
             lost.append(f"load step {position.load_step} ({_spelled(position.axes_mm)})")
+            axes_lost.append(position.axes_mm)
         else:
             step = _step_of(position, texts[name])
             used.add((name, step))
@@ -133,12 +135,16 @@ def _read_all(
         raise InputError("no position of the table has a result", file=str(table))
     every: list[tuple[str, int | None]] = [(name, step) for name, steps in texts.items() for step in steps.by_step]
     every += [(name, None) for name in meshes]
-    return found, tuple(
-        name if step is None else f"load step {step} of {name}" for name, step in every if (name, step) not in used
+    return (
+        found,
+        axes_lost,
+        tuple(
+            name if step is None else f"load step {step} of {name}" for name, step in every if (name, step) not in used
+        ),
     )
 
 
-def _of_one_table(files: Sequence[Path]) -> tuple[list[_Found], tuple[str, ...]]:
+def _of_one_table(files: Sequence[Path]) -> list[_Found]:
     text = read_text(files[0]) if len(files) == 1 and files[0].suffix.lower() in TEXT_SUFFIXES else ""
     if not has_positions(text):
         raise InputError(
@@ -153,7 +159,7 @@ def _of_one_table(files: Sequence[Path]) -> tuple[list[_Found], tuple[str, ...]]
         result = results.at(_step_of(position, results), None)
         label = f"row {position.row} of {files[0].name}"
         found.append(_Found(position.axes_mm, result.displacement, result.rotation, label))
-    return found, ()
+    return found
 
 
 def _steps(file: Path) -> StepResults:

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.finite_elements.hollow_box import HollowBox
-from agent.finite_elements.solid_part import ElasticPads, ElasticPart, Material, Pads
+from agent.finite_elements.pads import Pads
+from agent.finite_elements.solid_part import ElasticPads, ElasticPart, Material
 from twin.arrays import Array
 from twin.finite_elements.structure_file import BoxSection, MaterialSection, StructureSection
 from twin.machine.deflection import DeflectionGrid
