@@ -59,12 +59,12 @@ def write_listing(path: Path, moved: np.ndarray, left_out: int | None = None) ->
     pages = []
     for step, values in enumerate(moved.tolist(), start=1):
         if step != left_out:
-            numbers = "".join(f"{value:12.5E}" for value in (*values, 0.0))
+            numbers = "".join(f"{value:12.5E}" for value in (*values, float(np.linalg.norm(values))))
             pages.append(
                 f"  LOAD STEP= {step:5d}  SUBSTEP=     1\n   TIME=    1.0000      LOAD CASE=   0\n\n"
                 "  THE FOLLOWING DEGREE OF FREEDOM RESULTS ARE IN THE GLOBAL COORDINATE SYSTEM\n\n"
                 "    NODE       UX           UY           UZ           USUM\n"
-                f"     900 {0.5:12.5E}{0.5:12.5E}{0.5:12.5E}{0.5:12.5E}\n     901 {numbers}\n\n"
+                f"     900 {0.5:12.5E}{0.5:12.5E}{0.5:12.5E}{0.75**0.5:12.5E}\n     901 {numbers}\n\n"
             )
     path.write_text("".join(pages))
 
