@@ -201,7 +201,8 @@ class _Surface:
     def load(self, pull: Array, unknowns: int) -> Array:
         """Return the load vector (unknowns,) of a pressure `pull` (3, k, p)."""
         local = np.einsum("ickp,ckp,kp->ki", self.fields, pull, self.measure)
-        return np.bincount(self.dofs.ravel(), local.ravel(), minlength=unknowns)
+        load: Array = np.bincount(self.dofs.ravel(), local.ravel(), minlength=unknowns).astype(np.float64)
+        return load
 
 
 def _off_the_part(pads: Pads) -> InputError:

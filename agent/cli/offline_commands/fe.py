@@ -258,8 +258,8 @@ def compare_command(grids: tuple[Path, ...], machine: Path, figure: Path | None,
         with translated(InputError, file=name):
             shares[name] = cross_effect_share(grid, described)
     if figure is not None:
-        rows = _rows(read)
-        _draw(figure, {rows[name]: relative_to(one, middle_of(one)) for name, one in read.items()}, described.name)
+        labels = _labels(read)
+        _draw(figure, {labels[name]: relative_to(one, middle_of(one)) for name, one in read.items()}, described.name)
     if as_json:
         values = {name: share.as_json() for name, share in shares.items()}
         click.echo(json.dumps({"machine": described.name, "grids": values}, allow_nan=False))
@@ -296,7 +296,7 @@ def _check_outputs(outputs: tuple[Path | None, ...], inputs: tuple[Path | None, 
             check_folder(file.parent)
 
 
-def _rows(names: Collection[str]) -> dict[str, str]:
+def _labels(names: Collection[str]) -> dict[str, str]:
     """Return the name of the row in the figure for each grid file: its stem, or its whole name if stems are equal."""
     stems = [Path(name).stem for name in names]
     return {name: Path(name).stem if stems.count(Path(name).stem) == 1 else name for name in names}
