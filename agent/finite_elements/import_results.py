@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from agent.files import read_text, translated
-from agent.finite_elements.mesh_results import ProbeOptions, probe_mesh
+from agent.finite_elements.mesh_results import NearestNode, ProbeOptions, probe_mesh
 from drivers.errors import InputError
 from twin.arrays import Array
 from twin.finite_elements.axis_frame import AxisFrame
@@ -43,7 +43,7 @@ class ImportOptions:
     offset_mm: Array
     node: int | None = None
     probe: Components | None = None
-    mesh: ProbeOptions = field(default_factory=lambda: ProbeOptions(within=1.0))
+    mesh: ProbeOptions = field(default_factory=ProbeOptions)
     fill: bool = False
     any_size: bool = False
 
@@ -51,11 +51,13 @@ class ImportOptions:
 @dataclass(frozen=True)
 class ImportedGrid:
     """Deflection grid of imported results, before anything is subtracted. `unused` names results that no position
-    uses; `largest_um` is the largest displacement in µm relative to the mean one."""
+    uses; `largest_um` is the largest displacement in µm relative to the mean one; `furthest` is the node of a mesh that
+    is furthest from its point, if nodes of meshes were read."""
 
     assembled: AssembledGrid
     unused: tuple[str, ...]
     largest_um: float
+    furthest: NearestNode | None
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,7 @@ class _Found:
     displacement: Components
     rotation: Components | None
     label: str
+    nearest: NearestNode | None = None
 
 
 def import_results(files: Sequence[Path], positions: Path | None, options: ImportOptions) -> ImportedGrid:
@@ -75,11 +78,14 @@ def import_results(files: Sequence[Path], positions: Path | None, options: Impor
     Raises InputError, which names file, row and column where there are any, if something is missing, is given twice, or
     contradicts the statements of the user.
     """
-    found, unused = _read_all(files, positions, options)
+    _check_options(files, positions, options)
+    found, lost, unused = _read_all(files, positions, options)
     turned = [one.rotation for one in found if one.rotation is not None]
     if turned and len(turned) != len(found):
         bare = next(one.label for one in found if one.rotation is None)
         raise InputError(f"some results have rotations and others none, such as {bare}", hint="export all alike")
+    read = [one.nearest for one in found if one.nearest is not None]
+    furthest = max(read, key=lambda node: node.distance, default=None)
     with translated(InputError):
         moved = tool_displacements(
             np.array([one.axes_mm for one in found]),
@@ -92,24 +98,48 @@ def import_results(files: Sequence[Path], positions: Path | None, options: Impor
         )
         if not options.any_size:
             check_size(moved, options.unit)
-        return ImportedGrid(assemble_grid(moved, options.fill), unused, moved.largest_um)
+        return ImportedGrid(
+            assemble_grid(moved, options.fill, np.array(lost).reshape(-1, 3)), unused, moved.largest_um, furthest
+        )
+
+
+def _check_options(files: Sequence[Path], positions: Path | None, options: ImportOptions) -> None:
+    """Raise InputError if an option is stated that none of the files has a use for."""
+    if options.mesh.interpolate and options.mesh.within is not None:
+        hint = "--within is for the nearest node"
+        raise InputError("--interpolate and --within exclude each other", hint=hint, option="--within")
+    texts = [file for file in files if file.suffix.lower() in TEXT_SUFFIXES]
+    mesh = {
+        "--probe": options.probe is not None,
+        "--within": options.mesh.within is not None,
+        "--interpolate": options.mesh.interpolate,
+        "--displacement": options.mesh.displacement is not None,
+        "--rotation": options.mesh.rotation is not None,
+    }
+    if len(texts) == len(files) and any(mesh.values()):
+        name = next(name for name, stated in mesh.items() if stated)
+        raise InputError(f"{name} is for meshes, but there is none", hint=f"leave out {name}", option=name)
+    if options.node is not None and positions is not None and not texts:
+        message = "--node is for listings and tables of load steps, but there is none"
+        raise InputError(message, hint="leave out --node; a mesh is read at --probe", option="--node")
 
 
 def _read_all(
     files: Sequence[Path], table: Path | None, options: ImportOptions
-) -> tuple[list[_Found], tuple[str, ...]]:
+) -> tuple[list[_Found], list[Components], tuple[str, ...]]:
+    """Return the results, the axis positions in mm whose results are missing, and the names of unused results."""
     for number, file in enumerate(files):
         if file.name in (other.name for other in files[:number]):
             hint = "the table of positions names files without their folder: rename one of the two"
             raise InputError("a second file has the same name", hint=hint, file=str(file))
     if table is None:
-        return _of_one_table(files)
+        return _of_one_table(files, options), [], ()
     with translated(InputError, file=str(table)):
         positions = parse_positions_of_results(read_text(table), str(table))
     texts = {file.name: _steps(file) for file in files if file.suffix.lower() in TEXT_SUFFIXES}
     meshes = {file.name: file for file in files if file.name not in texts}
     used: set[tuple[str, int | None]] = set()
-    found, lost = [], []
+    found, lost, axes_lost = [], [], []
     for position in positions:
         name = _file_of(position, files, table)
         label = f"row {position.row} of {table.name}"
@@ -118,6 +148,7 @@ def _read_all(
             found.append(_of_mesh(position, meshes[name], options, label))
         elif position.load_step is not None and position.load_step not in texts[name].by_step:
             lost.append(f"load step {position.load_step} ({_spelled(position.axes_mm)})")
+            axes_lost.append(position.axes_mm)
         else:
             step = _step_of(position, texts[name])
             used.add((name, step))
@@ -133,19 +164,28 @@ def _read_all(
         raise InputError("no position of the table has a result", file=str(table))
     every: list[tuple[str, int | None]] = [(name, step) for name, steps in texts.items() for step in steps.by_step]
     every += [(name, None) for name in meshes]
-    return found, tuple(
-        name if step is None else f"load step {step} of {name}" for name, step in every if (name, step) not in used
+    return (
+        found,
+        axes_lost,
+        tuple(
+            name if step is None else f"load step {step} of {name}" for name, step in every if (name, step) not in used
+        ),
     )
 
 
-def _of_one_table(files: Sequence[Path]) -> tuple[list[_Found], tuple[str, ...]]:
+def _of_one_table(files: Sequence[Path], options: ImportOptions) -> list[_Found]:
     text = read_text(files[0]) if len(files) == 1 and files[0].suffix.lower() in TEXT_SUFFIXES else ""
-    if not has_positions(text):
+    with translated(InputError, file=str(files[0])):
+        contained = has_positions(text, str(files[0]))
+    if not contained:
         raise InputError(
             "the results do not contain the axis positions to which they belong",
             hint="state them in a table: --positions TABLE.csv with x_mm,y_mm,z_mm and load_step or file",
             file=str(files[0]),
         )
+    if options.node is not None:
+        message = "--node is for listings and tables of load steps, but the rows of this file are positions"
+        raise InputError(message, hint="leave out --node", option="--node", file=str(files[0]))
     with translated(InputError, file=str(files[0])):
         positions, results = parse_results_at_positions(text, str(files[0]))
     found = []
@@ -153,7 +193,7 @@ def _of_one_table(files: Sequence[Path]) -> tuple[list[_Found], tuple[str, ...]]
         result = results.at(_step_of(position, results), None)
         label = f"row {position.row} of {files[0].name}"
         found.append(_Found(position.axes_mm, result.displacement, result.rotation, label))
-    return found, ()
+    return found
 
 
 def _steps(file: Path) -> StepResults:
@@ -191,8 +231,9 @@ def _of_mesh(position: ListedPosition, file: Path, options: ImportOptions, label
     if probe is None:
         hint = "state it with --probe x,y,z, or in columns probe_x, probe_y, probe_z of the table"
         raise InputError("the place at which the mesh is read is not stated", hint=hint, row=position.row)
-    moved, turned = probe_mesh(file, np.array(probe), options.mesh)
-    return _Found(position.axes_mm, _components(moved), None if turned is None else _components(turned), label)
+    probed = probe_mesh(file, np.array(probe), options.mesh)
+    turned = None if probed.rotation is None else _components(probed.rotation)
+    return _Found(position.axes_mm, _components(probed.displacement), turned, label, probed.nearest)
 
 
 def _components(vector: Array) -> Components:

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.finite_elements.hollow_box import HollowBox
-from agent.finite_elements.solid_part import ElasticPads, ElasticPart, Material, Pads
+from agent.finite_elements.pads import Pads
+from agent.finite_elements.solid_part import ElasticPads, ElasticPart, Material
 from twin.arrays import Array
 from twin.finite_elements.structure_file import BoxSection, MaterialSection, StructureSection
 from twin.machine.deflection import DeflectionGrid
@@ -178,15 +179,15 @@ def _guide(structure: StructureSection, reach_mm: float) -> list[ElasticPads]:
 
 
 def _answers(part: ElasticPart, stations: list[tuple[Pads, Array]], own_weight: bool) -> _Answers:
-    rails = [part.rail(pads, about) for pads, about in stations]
-    loads = [*rails, part.own_weight[:, None]]
-    moved = part.displacements(np.concatenate(loads, axis=1))
-    by_weight = moved[:, -1]
-    return _Answers(
-        np.stack([rail.T @ moved[:, 6 * k : 6 * k + 6] for k, rail in enumerate(rails)]),
-        np.stack([rail.T @ by_weight if own_weight else np.zeros(6) for rail in rails]),
-        np.stack([about for _, about in stations]),
-    )
+    """Return the answers at the stations, solved one after the other: the load vectors of all together would need more
+    memory than the equations."""
+    by_weight = part.displacements(part.own_weight[:, None])[:, 0] if own_weight else None
+    flexibilities, own = [], []
+    for pads, about in stations:
+        rail = part.rail(pads, about)
+        flexibilities.append(rail.T @ part.displacements(rail))
+        own.append(np.zeros(6) if by_weight is None else rail.T @ by_weight)
+    return _Answers(np.stack(flexibilities), np.stack(own), np.stack([about for _, about in stations]))
 
 
 def _box(

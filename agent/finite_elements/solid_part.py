@@ -16,25 +16,26 @@ wrenches three forces in N and three moments in N mm, both about a stated point 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import splu
-from skfem import Basis, ElementHex2, ElementVector, FacetBasis, LinearForm, MeshHex
-from skfem.helpers import dot
+from skfem import Basis, ElementHex2, ElementVector, LinearForm, MeshHex
 
 from agent.finite_elements.hollow_box import HollowBox
+from agent.finite_elements.pads import PadPoints, Pads
 from drivers.errors import InputError
 from twin.arrays import Array
 
 GRAVITY_MM_PER_S2 = 9806.65
-_ORDER = 6  # of the quadrature on surfaces: the weight of a pad is no polynomial
 _IN_ELEMENTS = 5  # three points along each edge: exact for a box
 _ON_FACE = 1e-6
 _WORST_CONDITION = 1e10
+_LOST_AREA = 0.05  # largest share of a pad beside the face on which it stands
 
 
 @dataclass(frozen=True)
@@ -47,36 +48,8 @@ class Material:
 
 
 @dataclass(frozen=True)
-class Pads:
-    """Strips on a face of a part that carry or load it.
-
-    The face is normal to `axis` at the coordinate `at_mm`. Along `along`, each pad reaches `length_mm` over its centre
-    in `centres_mm`, with a pressure that falls to zero at its ends (cos²); None for the whole face. `walls_of_mm` keeps
-    the pads over the walls: only points further than it from the middle of the third direction count.
-    """
-
-    axis: int
-    at_mm: float
-    along: int | None = None
-    centres_mm: tuple[float, ...] = ()
-    length_mm: float = 0.0
-    walls_of_mm: float = 0.0
-
-    def weight(self, place: Any) -> Any:
-        """Return the weight at the points `place` (3, ...) of the face."""
-        if self.along is None:
-            weight = np.ones_like(place[0])
-        else:
-            parts = [(place[self.along] - centre) / self.length_mm for centre in self.centres_mm]
-            weight = sum(np.where(np.abs(part) < 0.5, np.cos(np.pi * part) ** 2, 0.0) for part in parts)
-            across = place[3 - self.axis - self.along]
-            weight = weight * (np.abs(across) > self.walls_of_mm)
-        return weight
-
-
-@dataclass(frozen=True)
 class ElasticPads:
-    """Pads on which a part stands. Each pad of the strip has the stiffnesses across and along its face, in N/mm."""
+    """Pads on which a part stands. Each pad has the stiffnesses across and along its face, in N/mm."""
 
     pads: Pads
     normal_n_mm: float
@@ -123,8 +96,8 @@ class ElasticPart:
 
     def rail(self, pads: Pads, about_mm: Array) -> Array:
         """Return the load vectors (n, 6) of unit wrenches on a rail about the point `about_mm` (3,)."""
-        basis = self._facets(pads)
-        arm = np.asarray(basis.global_coordinates()) - about_mm[:, None, None]
+        surface = self._surface(pads, PadPoints.joined(self._pad_points(pads)))
+        arm = surface.places - about_mm[:, None, None]
         zero, one = np.zeros_like(arm[0]), np.ones_like(arm[0])
         motions = [
             np.stack(rows)
@@ -137,16 +110,15 @@ class ElasticPart:
                 (-arm[1], arm[0], zero),
             )
         ]
-        weight = pads.weight(np.asarray(basis.global_coordinates()))
-        gram = np.array([[np.sum(weight * (a * b).sum(axis=0) * basis.dx) for b in motions] for a in motions])
-        loads = [LinearForm(lambda v, w: dot(w.pull, v)).assemble(basis, pull=weight * motion) for motion in motions]
+        gram = np.array([[np.sum(surface.measure * (a * b).sum(axis=0)) for b in motions] for a in motions])
+        loads = [surface.load(motion, self.unknowns) for motion in motions]
         # a moment is a length times a force: scaled by the size of the rail, the matrix is well conditioned
         size = np.sqrt(np.diag(gram))
         if not size.min() > 0.0:
-            raise _too_small(pads)
+            raise _undetermined(pads)
         even = gram / np.outer(size, size)
         if np.linalg.cond(even) > _WORST_CONDITION:
-            raise _too_small(pads)
+            raise _undetermined(pads)
         return np.asarray(np.linalg.solve(even, np.stack(loads) / size[:, None]).T / size)
 
     def displacements(self, loads: Array) -> Array:
@@ -173,34 +145,75 @@ class ElasticPart:
         sheared = [gradients[:, i, j] + gradients[:, j, i] for i, j in ((1, 2), (2, 0), (0, 1))]
         elasticity = np.diag([2.0 * shear] * 3 + [shear] * 3)
         elasticity[:3, :3] += lame
-        matrix = _assembled(self._basis, np.stack(normal + sheared, axis=1), elasticity, np.asarray(self._basis.dx))
+        strains, dofs = np.stack(normal + sheared, axis=1), np.asarray(self._basis.element_dofs).T
+        matrix = _assembled(dofs, self.unknowns, strains, elasticity, np.asarray(self._basis.dx))
         for support in self._supports:
             matrix = matrix + self._spring(support)
         return matrix
 
     def _spring(self, support: ElasticPads) -> Any:
-        """Return the stiffness of an elastic layer under the pads, with the total stiffness of all of them."""
-        basis = self._facets(support.pads)
-        weight = support.pads.weight(np.asarray(basis.global_coordinates()))
-        count = max(len(support.pads.centres_mm), 1)
-        shares = np.full(3, support.tangential_n_mm)
-        shares[support.pads.axis] = support.normal_n_mm
-        area = np.sum(weight * basis.dx)
-        if not area > 0.0:
-            raise _too_small(support.pads)
-        fields = np.stack([np.asarray(field[0]) for field in basis.basis])  # (81, 3, facets, points)
-        return _assembled(basis, fields, np.diag(shares * count / area), weight * basis.dx)
+        """Return the stiffness of elastic layers under the pads, each with the stiffness of one pad."""
+        stiffness = np.full(3, support.tangential_n_mm)
+        stiffness[support.pads.axis] = support.normal_n_mm
+        each = [replace(pad, measure=pad.measure / pad.area) for pad in self._pad_points(support.pads)]
+        surface = self._surface(support.pads, PadPoints.joined(each))
+        return _assembled(surface.dofs, self.unknowns, surface.fields, np.diag(stiffness), surface.measure)
 
-    def _facets(self, pads: Pads) -> FacetBasis:
+    def _pad_points(self, pads: Pads) -> tuple[PadPoints, ...]:
+        """Return the quadrature points of each pad. Raises InputError if a pad does not lie on the part."""
+        low, high = self._rectangles(pads)[1:]
+        if not len(low):
+            raise _off_the_part(pads)
+        found, stated = pads.points(low, high), pads.stated_area(low, high)
+        for pad in found:
+            if not pad.area > 0.0 or (stated is not None and abs(pad.area - stated) > _LOST_AREA * stated):
+                raise _off_the_part(pads)
+        return found
+
+    def _rectangles(self, pads: Pads) -> tuple[NDArray[np.intp], Array, Array]:
+        """Return the facets (n,) of the face of the pads, with their lower and upper corners (n, 3) in mm."""
         facets = self._mesh.facets_satisfying(
             lambda x: np.abs(x[pads.axis] - pads.at_mm) < _ON_FACE, boundaries_only=True
         )
-        return FacetBasis(self._mesh, self._element, facets=facets, intorder=_ORDER)
+        corners = self._mesh.p[:, self._mesh.facets[:, facets]]  # (3, 4, n)
+        return facets, corners.min(axis=1).T, corners.max(axis=1).T
+
+    def _surface(self, pads: Pads, points: PadPoints) -> _Surface:
+        elements = self._mesh.f2t[0, self._rectangles(pads)[0][points.facets]]
+        mapping = self._basis.mapping
+        inside = mapping.invF(points.places, elements)
+        count = np.asarray(self._basis.element_dofs).shape[0]
+        fields = [np.asarray(self._element.gbasis(mapping, inside, i, elements)[0]) for i in range(count)]
+        dofs = np.asarray(self._basis.element_dofs)[:, elements].T
+        return _Surface(dofs, np.stack(fields), points.places, points.measure)
 
 
-def _too_small(pads: Pads) -> InputError:
-    hint = "make the pads longer, or lower rib_pitch_mm or raise cells"
-    return InputError(f"pads of {pads.length_mm:g} mm are too short for the elements under them", hint=hint)
+@dataclass(frozen=True)
+class _Surface:
+    """Values of the basis functions on a surface: unknowns (k, 81) of the element at each of k rectangles, functions
+    `fields` (81, 3, k, p), `places` (3, k, p) in mm, and the weights `measure` (k, p) of the points."""
+
+    dofs: NDArray[np.intp]
+    fields: Array
+    places: Array
+    measure: Array
+
+    def load(self, pull: Array, unknowns: int) -> Array:
+        """Return the load vector (unknowns,) of a pressure `pull` (3, k, p)."""
+        local = np.einsum("ickp,ckp,kp->ki", self.fields, pull, self.measure)
+        load: Array = np.bincount(self.dofs.ravel(), local.ravel(), minlength=unknowns).astype(np.float64)
+        return load
+
+
+def _off_the_part(pads: Pads) -> InputError:
+    where = ", ".join(f"{centre:g}" for centre in pads.centres_mm) or "its face"
+    hint = "check the places and the lengths of the pads, and the length of the part"
+    return InputError(f"the pads of {pads.length_mm:g} mm at {where} do not lie on the part", hint=hint)
+
+
+def _undetermined(pads: Pads) -> InputError:
+    hint = "make the pads longer or move them apart"
+    return InputError(f"pads of {pads.length_mm:g} mm do not determine the motion of what they carry", hint=hint)
 
 
 def _unsolvable() -> InputError:
@@ -208,9 +221,10 @@ def _unsolvable() -> InputError:
     return InputError("the equations of the solid model cannot be solved", hint=hint)
 
 
-def _assembled(basis: Basis, strains: Array, law: Array, measure: Array) -> Any:
+def _assembled(dofs: NDArray[np.intp], unknowns: int, strains: Array, law: Array, measure: Array) -> Any:
     """Return the matrix of the energy ½ ∫ εᵀ law ε, where ε (functions, k, elements, points) belongs to each basis
-    function and `measure` (elements, points) is the weight of each quadrature point.
+    function and `measure` (elements, points) is the weight of each quadrature point. `dofs` (elements, functions) are
+    the unknowns.
 
     The forms of scikit-fem call Python once for each pair of the 81 functions of an element; here each element is one
     matrix product.
@@ -220,7 +234,6 @@ def _assembled(basis: Basis, strains: Array, law: Array, measure: Array) -> Any:
     weighted = (law @ columns) * measure[:, :, None, None]
     flat = (elements, points * kinds, functions)
     local = np.matmul(columns.reshape(flat).transpose(0, 2, 1), weighted.reshape(flat))
-    dofs = np.asarray(basis.element_dofs).T
     rows = np.broadcast_to(dofs[:, :, None], local.shape)
-    found = coo_matrix((local.ravel(), (rows.ravel(), rows.transpose(0, 2, 1).ravel())), shape=(basis.N, basis.N))
+    found = coo_matrix((local.ravel(), (rows.ravel(), rows.transpose(0, 2, 1).ravel())), shape=(unknowns, unknowns))
     return found.tocsc()

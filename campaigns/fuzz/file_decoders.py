@@ -178,7 +178,7 @@ def _finite_element_decoders() -> Iterator[Decoder]:
     yield Decoder("FE positions (CSV)", positions, _decoding(lambda text: parse_positions_of_results(text, "p.csv")))
     yield _text("FE structure (TOML)", [STRUCTURE], lambda text: parse_structure(text, "s.toml"))
     folder = MemoryFolder()
-    options = ProbeOptions(within=None)
+    options = ProbeOptions(interpolate=True)
 
     def probe(path: Path) -> object:
         return probe_mesh(path / "m.vtu", np.array([0.1, 0.1, 0.1]), options)

@@ -26,10 +26,14 @@ DISPLACEMENTS = ("UX", "UY", "UZ")
 ROTATIONS = ("ROTX", "ROTY", "ROTZ")
 HEADING = "NODAL DEGREE OF FREEDOM LISTING"
 _KNOWN = {*DISPLACEMENTS, "USUM", *ROTATIONS, "RSUM", "TEMP"}
-_NUMBER = re.compile(r"[-+]?(?:\d+\.\d*|\.\d+|\d+)(?:[EeDd][-+]?\d{1,3})?")
-_ROW = re.compile(r"\s*(\d{1,10})(?=[\s+-])(.*)")
-_STEP = re.compile(r"LOAD STEP\s*=\s*(\d{1,9})\s+SUBSTEP\s*=\s*(\d{1,9})")
+_NUMBER = re.compile(
+    r"\s*(?:(?<=\s)|(?=[-+]))([-+]?(?:\d+\.\d*|\.\d+|\d+)(?:[EeDd][-+]?\d{2,3})?)(?=[\s+-]|$)", re.ASCII
+)
+"""A number begins after a blank or with its sign: without both, where it begins would be a guess."""
+_ROW = re.compile(r"\s*(\d{1,10})(?=[\s+-])(.*)", re.ASCII)
+_STEP = re.compile(r"LOAD STEP\s*=\s*(\d{1,9})\s+SUBSTEP\s*=\s*(\d{1,9})", re.ASCII)
 _FRAME = re.compile(r"RESULTS ARE IN\b(.*)")
+_GLOBAL = "THE GLOBAL COORDINATE SYSTEM"
 
 
 @dataclass
@@ -88,10 +92,13 @@ def _rows(text: str, source: str) -> Iterator[tuple[_Place, int, str]]:
         if step is not None:
             place = _Place(int(step[1]), int(step[2]))
         elif frame is not None:
-            if "GLOBAL" not in frame[1]:
+            if " ".join(frame[1].split()) != _GLOBAL:
                 hint = "List them in the global frame (RSYS,0) and state its directions with --frame"
                 raise FormatError("the results are not in the global frame", hint=hint, file=source, row=number)
         elif columns:
+            twice = next((name for name in columns if columns.count(name) > 1), None)
+            if twice is not None:
+                raise FormatError(f"the column {twice} appears more than once", file=source, row=number)
             place = _Place(place.load_step, place.substep, columns)
         elif not line.strip():
             place = _Place(place.load_step, place.substep)
@@ -115,17 +122,37 @@ def _columns(line: str) -> tuple[str, ...]:
 def _values(line: str, columns: tuple[str, ...], source: str, row: int) -> tuple[int, dict[str, float]]:
     """Return the node and its components."""
     found = _ROW.fullmatch(line)
-    rest = found[2] if found else line
-    if found is None or _NUMBER.sub("", rest).strip():
-        raise FormatError(f"'{line.strip():.40}' is not a node with numbers", file=source, row=row)
-    numbers = [float(number.upper().replace("D", "E")) for number in _NUMBER.findall(rest)]
+    rest = found[2].rstrip() if found else line
+    if found is None or _NUMBER.sub("", rest):
+        hint = "Numbers must be apart, or begin with their sign: list them with wider fields (/FORMAT)"
+        raise FormatError(f"'{line.strip():.40}' is not a node with numbers", hint=hint, file=source, row=row)
+    texts = [number.upper().replace("D", "E") for number in _NUMBER.findall(rest)]
+    numbers = [float(text) for text in texts]
     if len(numbers) != len(columns):
         raise FormatError(f"{len(numbers)} numbers for the {len(columns)} columns", file=source, row=row)
     values = dict(zip(columns, numbers, strict=True))
     for name, value in values.items():
         if not math.isfinite(value):
             raise FormatError(f"{name} is not finite", file=source, row=row)
+    _check_sum(values, sum(map(_last_digit, texts)), source, row)
     return int(found[1]), {name: value for name, value in values.items() if name in (*DISPLACEMENTS, *ROTATIONS)}
+
+
+def _check_sum(values: dict[str, float], tolerance: float, source: str, row: int) -> None:
+    """Raise FormatError if a listed sum is not the length of its vector: then the numbers were not split where they
+    should be, or not all are in the same unit."""
+    for names, total in ((DISPLACEMENTS, "USUM"), (ROTATIONS, "RSUM")):
+        if total in values and all(name in values for name in names):
+            length = math.hypot(*(values[name] for name in names))
+            if abs(values[total] - length) > tolerance:
+                message = f"{total} is {values[total]:.6g}, but {', '.join(names)} give {length:.6g}"
+                raise FormatError(message, hint="List the results anew", file=source, row=row)
+
+
+def _last_digit(number: str) -> float:
+    """Return the value of one unit in the last digit of a number as it is written."""
+    mantissa, _, exponent = number.partition("E")
+    return 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
 
 
 def _result(load_step: int, node: int, known: _Node, source: str) -> NodalResult:

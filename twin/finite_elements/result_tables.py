@@ -9,16 +9,18 @@ Results: `ux,uy,uz` and, if there are rotations in rad, `rotx,roty,rotz`; either
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 from twin.errors import FormatError
 from twin.finite_elements.nodal_result import Components, NodalResult, StepResults
-from twin.formats.csv_reading import CsvRow, read_rows
+from twin.formats.csv_reading import CsvRow, csv_lines, read_rows
 
 POSITION_COLUMNS = ("x_mm", "y_mm", "z_mm")
 PROBE_COLUMNS = ("probe_x", "probe_y", "probe_z")
 _DISPLACEMENT = ("ux", "uy", "uz")
 _ROTATION = ("rotx", "roty", "rotz")
+_SEPARATOR = re.compile("[;\t]")
 
 
 @dataclass(frozen=True)
@@ -43,10 +45,11 @@ def parse_positions_of_results(text: str, source: str) -> tuple[ListedPosition, 
     return listed
 
 
-def has_positions(text: str) -> bool:
-    """Return True if a CSV text with results contains the axis positions itself."""
-    header = text.removeprefix("\ufeff").partition("\n")[0]
-    return "x_mm" in [name.strip() for name in header.split(",")]
+def has_positions(text: str, source: str) -> bool:
+    """Return True if a CSV text with results contains the axis positions itself, even if its separators are
+    wrong. Raises FormatError if it is no CSV text."""
+    first = next(csv_lines(text, source), (1, []))[1]
+    return any("x_mm" in map(str.strip, _SEPARATOR.split(cell)) for cell in first)
 
 
 def parse_results_at_positions(text: str, source: str) -> tuple[tuple[ListedPosition, ...], StepResults]:

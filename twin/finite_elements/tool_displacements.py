@@ -101,23 +101,26 @@ def check_size(found: ToolDisplacements, unit: LengthUnit) -> None:
     )
 
 
-def assemble_grid(found: ToolDisplacements, fill: bool = False) -> AssembledGrid:
+def assemble_grid(found: ToolDisplacements, fill: bool = False, lost_mm: Array | None = None) -> AssembledGrid:
     """Return the deflection grid through displacements at its nodes.
 
-    Positions equal to a nanometre are the same node. With `fill`, a node without a result gets the mean of the
+    `lost_mm` (m, 3) are axis positions without a result, which are nodes of the grid all the same. Positions equal to a
+    nanometre are the same node. With `fill`, a node without a result gets the mean of the
     interpolations along those grid lines on which it lies between others (a cubic spline; linear with fewer than four
     nodes). Raises DataError if a position is given twice, if positions are missing (naming the first ones), or if a
     missing node does not lie between others.
     """
     nodes, indices = [], []
+    count_found = len(found.labels)
+    asked = found.axes_mm if lost_mm is None else np.concatenate((found.axes_mm, lost_mm))
     for axis in range(3):
-        unique, inverse = np.unique(np.round(found.axes_mm[:, axis], _SAME_DIGITS), return_inverse=True)
+        unique, inverse = np.unique(np.round(asked[:, axis], _SAME_DIGITS), return_inverse=True)
         nodes.append(unique)
-        indices.append(inverse.reshape(-1))
+        indices.append(inverse.reshape(-1)[:count_found])
     shape = (nodes[0].size, nodes[1].size, nodes[2].size)
     _check_duplicates(np.stack(indices, axis=1), found.labels)
     count = math.prod(shape)
-    missing = count - len(found.labels)
+    missing = count - count_found
     if missing > 0 and (not fill or missing > MOST_FILLED * count):
         raise _missing(nodes, indices, missing, fill)
     values = np.full((*shape, 3), np.nan)

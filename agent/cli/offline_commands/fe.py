@@ -6,7 +6,9 @@ The commands contact no device.
 from __future__ import annotations
 
 import json
+import math
 import re
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -44,8 +46,9 @@ if TYPE_CHECKING:
     from twin.arrays import Array
     from twin.machine.deflection import DeflectionGrid
 
-_SHAPE = re.compile(r"(\d{1,3})x(\d{1,3})x(\d{1,3})")
+_SHAPE = re.compile(r"([0-9]{1,3})x([0-9]{1,3})x([0-9]{1,3})")
 _MOST_NODES = 200
+_MOST_IN_ALL = 500_000
 Reference = tuple[float, float, float] | Literal["middle", "none"]
 
 
@@ -85,7 +88,15 @@ def _shape(_: click.Context, __: click.Parameter, text: str | None) -> tuple[int
     if found is None or not all(2 <= int(count) <= _MOST_NODES for count in found.groups()):
         raise click.BadParameter(f"'{text}' is not three numbers of nodes from 2 to {_MOST_NODES}, such as 9x15x13")
     x, y, z = map(int, found.groups())
+    if x * y * z > _MOST_IN_ALL:
+        raise click.BadParameter(f"{x * y * z} nodes are too many: at most {_MOST_IN_ALL} in all")
     return x, y, z
+
+
+def _finite(_: click.Context, __: click.Parameter, number: float | None) -> float | None:
+    if number is not None and not math.isfinite(number):
+        raise click.BadParameter("the distance must be a finite number")
+    return number
 
 
 @click.group("fe", cls=VolcalGroup)
@@ -104,7 +115,10 @@ def fe_group() -> None:
 @click.option("--node", type=click.IntRange(min=1), help="Node of the tool point, if several are listed.")
 @click.option("--probe", metavar="x,y,z", help="Point at which meshes are read, in their frame and unit.")
 @click.option(
-    "--within", type=click.FloatRange(min=0.0), default=1.0, show_default=True, help="Largest distance of its node."
+    "--within",
+    type=click.FloatRange(min=0.0),
+    callback=_finite,
+    help="Largest distance of its node, in the unit of the mesh [default: 1/1000 of the diagonal of the mesh].",
 )
 @click.option("--interpolate", is_flag=True, help="Interpolate between the nodes around the point instead.")
 @click.option("--displacement", help="Point data of meshes with the displacements [default: the usual names].")
@@ -129,7 +143,7 @@ def import_command(
     mirrored: bool,
     node: int | None,
     probe: str | None,
-    within: float,
+    within: float | None,
     interpolate: bool,
     displacement: str | None,
     rotation: str | None,
@@ -147,7 +161,7 @@ def import_command(
 
     FILES are ANSYS listings (PRNSOL), CSV files, or meshes that meshio reads (VTU, VTK ...).
     """
-    _check_folders(out, figure)
+    _check_outputs((out, figure), (*files, positions, machine))
     with translated(InputError, option="--frame"):
         axes = parse_frame(frame, mirrored)
     options = ImportOptions(
@@ -156,7 +170,7 @@ def import_command(
         offset_mm=np.array(offset or (0.0, 0.0, 0.0)),
         node=node,
         probe=None if probe is None else parse_triple(probe),
-        mesh=ProbeOptions(None if interpolate else within, displacement, rotation),
+        mesh=ProbeOptions(within, interpolate, displacement, rotation),
         fill=fill_missing,
         any_size=any_size,
     )
@@ -165,6 +179,8 @@ def import_command(
     if found.unused:
         more = f" and {len(found.unused) - 5} more" if len(found.unused) > 5 else ""
         click.echo(f"warning: no position uses {', '.join(found.unused[:5])}{more}", err=True)
+    if found.furthest is not None:
+        click.echo(f"nearest nodes were read, the furthest one: {found.furthest}", err=True)
     for place in filled.tolist():
         click.echo(f"warning: interpolated X {place[0]:g}, Y {place[1]:g}, Z {place[2]:g} mm", err=True)
     if machine is not None:
@@ -179,7 +195,11 @@ def import_command(
 
 @fe_group.command("model")
 @click.argument("structure", type=PATH)
-@click.option("--cells", type=click.IntRange(1, 4), help="Elements between two ribs [default: that of the file].")
+@click.option(
+    "--cells",
+    type=click.IntRange(1, 4),
+    help="Elements between two ribs [default: that of the file]; a part with too many is refused.",
+)
 @_REFERENCE
 @_RIGID
 @_OUT
@@ -192,7 +212,7 @@ def model_command(
 
     STRUCTURE is a structure file (TOML), such as config/structures/case-study.toml.
     """
-    _check_folders(out, figure)
+    _check_outputs((out, figure), (structure,))
     text = read_text(structure, error=ConfigurationError)
     with translated(ConfigurationError, file=str(structure)):
         section = parse_structure(text, str(structure))
@@ -227,6 +247,7 @@ def compare_command(grids: tuple[Path, ...], machine: Path, figure: Path | None,
 
     GRIDS are grid files.
     """
+    _check_outputs((figure,), (*grids, machine))
     described = load_machine(machine)
     read = {}
     for file in grids:
@@ -237,7 +258,8 @@ def compare_command(grids: tuple[Path, ...], machine: Path, figure: Path | None,
         with translated(InputError, file=name):
             shares[name] = cross_effect_share(grid, described)
     if figure is not None:
-        _draw(figure, {Path(name).stem: relative_to(one, middle_of(one)) for name, one in read.items()}, described.name)
+        labels = _labels(read)
+        _draw(figure, {labels[name]: relative_to(one, middle_of(one)) for name, one in read.items()}, described.name)
     if as_json:
         values = {name: share.as_json() for name, share in shares.items()}
         click.echo(json.dumps({"machine": described.name, "grids": values}, allow_nan=False))
@@ -260,10 +282,24 @@ def compare_command(grids: tuple[Path, ...], machine: Path, figure: Path | None,
     results_console().print(table)
 
 
-def _check_folders(*files: Path | None) -> None:
-    for file in files:
+def _check_outputs(outputs: tuple[Path | None, ...], inputs: tuple[Path | None, ...]) -> None:
+    """Raise InputError if a file cannot be written, or would replace one that is read or the other output."""
+    others = [file.resolve() for file in inputs if file is not None]
+    for file in outputs:
         if file is not None:
+            if file.resolve() in others:
+                hint = "choose another name for the output"
+                raise InputError(
+                    "the output would replace a file that is read or written too", hint=hint, file=str(file)
+                )
+            others.append(file.resolve())
             check_folder(file.parent)
+
+
+def _labels(names: Collection[str]) -> dict[str, str]:
+    """Return the name of the row in the figure for each grid file: its stem, or its whole name if stems are equal."""
+    stems = [Path(name).stem for name in names]
+    return {name: Path(name).stem if stems.count(Path(name).stem) == 1 else name for name in names}
 
 
 def _referenced(grid: DeflectionGrid, reference: Reference, remove_rigid: bool) -> DeflectionGrid:

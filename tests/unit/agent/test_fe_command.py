@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import base64
 import json
+import re
+import resource
+import shutil
+import struct
 import subprocess
 import sys
+import zlib
 from pathlib import Path
 
 import meshio
@@ -59,12 +65,12 @@ def write_listing(path: Path, moved: np.ndarray, left_out: int | None = None) ->
     pages = []
     for step, values in enumerate(moved.tolist(), start=1):
         if step != left_out:
-            numbers = "".join(f"{value:12.5E}" for value in (*values, 0.0))
+            numbers = "".join(f"{value:12.5E}" for value in (*values, float(np.linalg.norm(values))))
             pages.append(
                 f"  LOAD STEP= {step:5d}  SUBSTEP=     1\n   TIME=    1.0000      LOAD CASE=   0\n\n"
                 "  THE FOLLOWING DEGREE OF FREEDOM RESULTS ARE IN THE GLOBAL COORDINATE SYSTEM\n\n"
                 "    NODE       UX           UY           UZ           USUM\n"
-                f"     900 {0.5:12.5E}{0.5:12.5E}{0.5:12.5E}{0.5:12.5E}\n     901 {numbers}\n\n"
+                f"     900 {0.5:12.5E}{0.5:12.5E}{0.5:12.5E}{0.75**0.5:12.5E}\n     901 {numbers}\n\n"
             )
     path.write_text("".join(pages))
 
@@ -99,6 +105,24 @@ def test_a_missing_load_step_is_named_or_interpolated(tmp_path: Path) -> None:
     assert filled.exit_code == 0, filled.output
     assert "warning: interpolated X 2000, Y 600, Z 800 mm" in filled.stderr
     assert np.abs(grid_um(out) - field_um(AXES))[middle - 1].max() < 0.2  # the square of y, linearly
+
+
+@pytest.mark.parametrize("plane", [4000.0, 2000.0, 0.0])
+def test_a_whole_plane_without_results_stays_in_the_grid(tmp_path: Path, plane: float) -> None:
+    """No node disappears with its results: a fifth at most is interpolated, and no end of the grid."""
+    xs = np.arange(0.0, 4001.0, 500.0) if plane == 4000.0 else NODES[0]
+    axes = np.stack(np.meshgrid(xs, *NODES[1:], indexing="ij"), axis=-1).reshape(-1, 3)
+    positions, results, out = tmp_path / "p.csv", tmp_path / "r.csv", tmp_path / "g.csv"
+    lines = [f"{x:g},{y:g},{z:g},{step}" for step, (x, y, z) in enumerate(axes, start=1)]
+    positions.write_text("\n".join(("x_mm,y_mm,z_mm,load_step", *lines, "")))
+    moved = enumerate(zip(axes[:, 0], field_um(axes), strict=True), start=1)
+    rows = [f"{step},{u:g},{v:g},{w:g}" for step, (x, (u, v, w)) in moved if x != plane]
+    results.write_text("\n".join(("load_step,ux,uy,uz", *rows, "")))
+    done = call("import", results, "--positions", positions, "--unit", "um", "--fill-missing", "-o", out)
+    assert done.exit_code == 2
+    says = "does not lie between others" if plane == 4000.0 else "9 of 27 positions of the 3 x 3 x 3 grid are missing"
+    assert says in " ".join(done.stderr.split())
+    assert not out.exists()
 
 
 def test_a_csv_file_with_rotations_and_a_tool_beyond_the_node(tmp_path: Path) -> None:
@@ -179,6 +203,133 @@ def test_broken_meshes(tmp_path: Path, name: str, content: bytes) -> None:
     assert "meshio cannot read the mesh" in done.stderr
 
 
+def test_a_small_file_does_not_unpack_to_any_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """600 MB of zeros in a file below 1 MB, where a mesh may take 200 MB. The bound ends with the reading."""
+    block, count = zlib.compress(bytes(20_000_000), 9), 30
+    header = struct.pack(f"<{3 + count}I", count, 20_000_000, 0, *[len(block)] * count)
+    content = base64.b64encode(header).decode() + base64.b64encode(block * count).decode()
+    array = f'<DataArray type="Float64" Name="Points" NumberOfComponents="3" format="binary">{content}</DataArray>'
+    (tmp_path / "m.vtu").write_text(
+        '<VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian" compressor="vtkZLibDataCompressor">'
+        f'<UnstructuredGrid><Piece NumberOfPoints="25000000" NumberOfCells="0"><Points>{array}</Points></Piece>'
+        "</UnstructuredGrid></VTKFile>"
+    )
+    monkeypatch.setattr("agent.finite_elements.mesh_results._MEMORY_BYTES", 200_000_000)
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    positions = tmp_path / "p.csv"
+    positions.write_text("x_mm,y_mm,z_mm\n0,0,0\n")
+    words = ("--positions", positions, "--unit", "mm", "--probe", "0,0,0", "-o", tmp_path / "g.csv")
+    done = call("import", tmp_path / "m.vtu", *words)
+    assert done.exit_code == 2
+    assert "the mesh needs more than 0.2 GB of memory" in done.stderr
+    assert resource.getrlimit(resource.RLIMIT_AS) == before
+
+
+def write_meshes_in_metres(folder: Path) -> Path:
+    """Write a mesh in metres whose nodes lie at all axis positions, and a table that reads each position there."""
+    tetra = [("tetra", np.array([[0, 1, 3, 9]]))]
+    meshio.Mesh(AXES / 1000.0, tetra, point_data={"displacement": 1e-6 * field_um(AXES)}).write(folder / "m.vtu")
+    rows = [f"m.vtu,{x / 1000 + 0.001},{y / 1000},{z / 1000}" for x, y, z in AXES]
+    return write_positions(folder, "file", "probe_x", "probe_y", "probe_z", rows=rows)
+
+
+def test_near_means_near_in_the_unit_of_the_mesh(tmp_path: Path) -> None:
+    """1 mm beside a node of a mesh of 4 m is near, 0.3 m is not; the node that was read is named."""
+    out = tmp_path / "g.csv"
+    positions = write_meshes_in_metres(tmp_path)
+    common = ("import", tmp_path / "m.vtu", "--positions", positions, "--unit", "m", "-o", out, *REFERENCE)
+    done = call(*common)
+    assert done.exit_code == 0, done.output
+    np.testing.assert_allclose(grid_um(out), field_um(AXES), atol=2e-4)
+    assert re.search(r"node \d+ of m.vtu at \(\d, \S+, \S+\), 0.001 from the point", done.stderr)
+    positions.write_text(positions.read_text().replace(",0.001,0.6,0.8", ",0.301,0.6,0.8"))
+    far = call(*common)
+    assert far.exit_code == 2
+    assert "the nearest node is 0.301 away from (0.301, 0.6, 0.8), more than 0.004465" in far.stderr
+    assert "node 5 of m.vtu at (0, 0.6, 0.8), 0.301 from the point" in call(*common, "--within", "0.5").stderr
+    for number in ("nan", "inf"):
+        assert "must be a finite number" in " ".join(call(*common, "--within", number).stderr.split())
+
+
+def test_no_output_replaces_a_file_that_is_read(tmp_path: Path) -> None:
+    positions = write_meshes_in_metres(tmp_path)
+    mesh, before = tmp_path / "m.vtu", (tmp_path / "m.vtu").read_bytes()
+    common = ("import", mesh, "--positions", positions, "--unit", "m")
+    grid = tmp_path / "g.png"
+    for options in (
+        ("-o", mesh),
+        ("-o", tmp_path / "." / ".." / tmp_path.name / "positions.csv"),
+        ("-o", grid, "--figure", grid),
+    ):
+        done = call(*common, *options)
+        assert done.exit_code == 2
+        assert "would replace a file" in " ".join(done.stderr.split())
+    assert mesh.read_bytes() == before
+    structure = coarse(tmp_path)
+    assert "would replace a file" in " ".join(call("model", structure, "-o", structure).stderr.split())
+    compared = tmp_path / "grid.svg"
+    compared.write_text("grid")
+    done = call("compare", compared, "--machine", MACHINE, "--figure", compared)
+    assert "would replace a file" in " ".join(done.stderr.split())
+
+
+def write_results(folder: Path) -> Path:
+    path = folder / "r.csv"
+    rows = [",".join(f"{number:g}" for number in row) for row in np.hstack((AXES, field_um(AXES)))]
+    path.write_text("x_mm,y_mm,z_mm,ux,uy,uz\n" + "\n".join(rows) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--node", "3"),
+        ("--probe", "0,0,0"),
+        ("--within", "1"),
+        ("--interpolate",),
+        ("--displacement", "U"),
+        ("--rotation", "UR"),
+    ],
+)
+def test_options_without_a_use_are_refused(tmp_path: Path, options: tuple[str, ...]) -> None:
+    done = call("import", write_results(tmp_path), "--unit", "um", "-o", tmp_path / "g.csv", *options)
+    assert done.exit_code == 2
+    assert f"{options[0]} is for" in done.stderr
+    assert not (tmp_path / "g.csv").exists()
+
+
+def test_near_and_between_exclude_each_other(tmp_path: Path) -> None:
+    positions = write_meshes_in_metres(tmp_path)
+    words = ("--positions", positions, "--unit", "m", "--within", "1", "--interpolate", "-o", tmp_path / "g.csv")
+    assert "exclude each other" in call("import", tmp_path / "m.vtu", *words).stderr
+
+
+def test_headers_of_spreadsheets(tmp_path: Path) -> None:
+    results, out = write_results(tmp_path), tmp_path / "g.csv"
+    text = results.read_text()
+    common = ("import", results, "--unit", "um", "-o", out, *REFERENCE)
+    results.write_text(text.replace("x_mm,y_mm", '"x_mm","y_mm"'))
+    assert call(*common).exit_code == 0
+    np.testing.assert_allclose(grid_um(out), field_um(AXES), atol=2e-4)
+    for separator, called in ((";", "semicolons"), ("\t", "tabulators")):
+        results.write_text(text.replace(",", separator))
+        done = call(*common)
+        assert done.exit_code == 2
+        assert f"separated by {called}, not by commas" in done.stderr
+
+
+def test_grids_of_the_same_name_have_a_row_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[str] = []
+    monkeypatch.setattr("agent.cli.offline_commands.fe._draw", lambda _, grids, *__: drawn.extend(grids))
+    files = [tmp_path / folder / "grid.csv" for folder in ("a", "b")]
+    for file in files:
+        file.parent.mkdir()
+        shutil.copy(MACHINE.with_name("case-study-deflection.csv"), file)
+    done = call("compare", *files, "--machine", MACHINE, "--figure", tmp_path / "f.png")
+    assert done.exit_code == 0, done.output
+    assert drawn == [str(file) for file in files]
+
+
 def test_results_without_positions_and_files_without_results(tmp_path: Path) -> None:
     listing, other = tmp_path / "r.lis", tmp_path / "s.lis"
     write_listing(listing, 1e-6 * field_um(AXES))
@@ -201,15 +352,13 @@ def test_results_without_positions_and_files_without_results(tmp_path: Path) -> 
         ("--frame", "X=x,Y=z,Z=y", "left-handed"),
         ("--probe", "here", "is not X,Y,Z"),
         ("--resample", "9x15", "not three numbers of nodes"),
+        ("--resample", "100x100x51", "510000 nodes are too many"),
         ("--figure", "grid.pdf", "ends with .png or .svg"),
         ("--machine", "none.toml", "no such file"),
     ],
 )
 def test_options_that_say_nothing(tmp_path: Path, option: str, value: str, says: str) -> None:
-    results = tmp_path / "r.csv"
-    rows = [",".join(f"{number:g}" for number in row) for row in np.hstack((AXES, field_um(AXES)))]
-    results.write_text("x_mm,y_mm,z_mm,ux,uy,uz\n" + "\n".join(rows) + "\n")
-    done = call("import", results, "--unit", "um", "-o", tmp_path / "g.csv", option, value)
+    done = call("import", write_results(tmp_path), "--unit", "um", "-o", tmp_path / "g.csv", option, value)
     assert done.exit_code == 2
     assert says in " ".join(done.stderr.split())
     assert not (tmp_path / "g.csv").exists()
@@ -253,8 +402,6 @@ def test_a_solid_model_becomes_a_grid_that_a_machine_reads(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ("truck_mm = 300.0", "truck_mm = 0.01", "too short for the elements"),
-        ("support_n_per_um", "support_pad_mm = 0.01\nsupport_n_per_um", "too short for the elements"),
         ("rib_pitch_mm = 400.0", "rib_pitch_mm = 160.0", "at most 1300 are solved"),
     ],
 )

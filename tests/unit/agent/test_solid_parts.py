@@ -11,7 +11,9 @@ import pytest
 
 from agent.finite_elements.hollow_box import HollowBox
 from agent.finite_elements.machine_structure import solid_deflection
-from agent.finite_elements.solid_part import ElasticPads, ElasticPart, Material, Pads
+from agent.finite_elements.pads import Pads
+from agent.finite_elements.solid_part import ElasticPads, ElasticPart, Material
+from drivers.errors import InputError
 from twin.errors import FormatError
 from twin.finite_elements.structure_file import StructureSection, parse_structure
 
@@ -71,6 +73,11 @@ def test_reciprocity_and_positive_energy() -> None:
     assert np.linalg.eigvalsh(answer / np.outer(size, size)).min() > 0.0
 
 
+def unknowns_along(part: ElasticPart, axis: int) -> np.ndarray:
+    """Return the unknowns that are displacements along an axis."""
+    return part._basis.get_dofs(elements=True).all(f"u^{axis + 1}")
+
+
 def test_a_rigid_motion_of_the_pads_moves_the_rail_alike() -> None:
     """The rail answers a rigid motion of all nodes with this motion: six independent mean values."""
     part, end, tip = cantilever()
@@ -78,8 +85,8 @@ def test_a_rigid_motion_of_the_pads_moves_the_rail_alike() -> None:
     shift, turn = np.array([1.0, -2.0, 0.5]), np.array([1e-3, 2e-3, -1e-3])
     moved = shift[:, None] + np.cross(turn, (nodes - tip[:, None]).T).T
     component = np.empty(part.unknowns, dtype=int)
-    for name, dofs in (("u^1", 0), ("u^2", 1), ("u^3", 2)):
-        component[part._basis.get_dofs(elements=True).all(name)] = dofs
+    for axis in range(3):
+        component[unknowns_along(part, axis)] = axis
     field = moved[component, np.arange(part.unknowns)]
     np.testing.assert_allclose(part.rail(end, tip).T @ field, np.concatenate((shift, turn)), atol=1e-9)
 
@@ -92,6 +99,37 @@ def test_finer_meshes_converge_from_the_stiff_side() -> None:
     assert sags[0] <= sags[1] * (1 + 1e-9) <= sags[2] * (1 + 2e-9)
     assert sags[2] - sags[1] <= sags[1] - sags[0] + 1e-9 * sags[0]
     assert sags[2] == pytest.approx(sags[0], rel=0.01)
+
+
+@pytest.mark.parametrize("length", [0.5, 60.0, 317.0, 700.0])
+def test_each_pad_has_the_stated_stiffness_wherever_it_lies(length: float) -> None:
+    """One pad within an element, one over ribs, one over the border of two elements: a rigid shift of 1 mm
+    against one pad needs the force k."""
+    half = SIDE / 2
+    box = HollowBox(1, (-half, 0.0, -half), (half, LENGTH, half), WALL, 2.0, LENGTH / 4, 1)
+    centres = (350.0, 1003.0, 1501.0)
+    along, across = 2.0e4, 7.0e3
+    for centre in centres:
+        one = ElasticPads(Pads(2, -half, 1, (centre,), length, half - WALL), along, across)
+        part = ElasticPart(box, Material(YOUNG, SHEAR_FREE, DENSITY), [])
+        matrix = part._spring(one)
+        forces = [np.isin(np.arange(part.unknowns), unknowns_along(part, axis)) for axis in range(3)]
+        stiffness = [float(shift @ (matrix @ shift)) for shift in np.array(forces, dtype=float)]
+        np.testing.assert_allclose(stiffness, (across, across, along), rtol=1e-9)
+        measured = [pad.area for pad in part._pad_points(one.pads)]
+        np.testing.assert_allclose(measured, [0.5 * length * 2 * WALL], rtol=1e-6)
+
+
+def test_pads_beside_the_part_are_refused() -> None:
+    part, _, _ = cantilever()
+    for pads in (
+        Pads(2, SIDE / 2, 1, (1000.0, LENGTH + 5.0), 100.0, SIDE / 2 - WALL),
+        Pads(2, SIDE / 2, 1, (1000.0, LENGTH + 50.0), 100.0, SIDE / 2 - WALL),
+        Pads(2, 3.0, 1, (1000.0,), 100.0, SIDE / 2 - WALL),
+        Pads(2, SIDE / 2, 1, (1000.0,), 100.0, SIDE),
+    ):
+        with pytest.raises(InputError, match="do not lie on the part"):
+            part.rail(pads, np.zeros(3))
 
 
 def structure(**changed: Any) -> StructureSection:

@@ -33,9 +33,14 @@ def listing(rows, step=1, columns=("UX", "UY", "UZ", "USUM"), substep=1, frame="
     return head + "\n".join(lines) + "\n\n MAXIMUM ABSOLUTE VALUES\n NODE          1            1\n VALUE   0.1 0.2\n\n"
 
 
+def summed(node, x, y, z):
+    """Return a row with the sum that PRNSOL adds: the length of the vector."""
+    return (node, x, y, z, (x * x + y * y + z * z) ** 0.5)
+
+
 def test_pages_load_steps_and_numbers_without_blanks() -> None:
-    text = listing([(1, 1e-3, -2e-3, -3e-3, 4e-3)]) + listing([(77, -1.5e-3, -2.5e-3, -3.5e-3, 4e-3)])
-    text += listing([(77, 5e-3, 6e-3, 7e-3, 8e-3)], step=12)
+    text = listing([summed(1, 1e-3, -2e-3, -3e-3)]) + listing([summed(77, -1.5e-3, -2.5e-3, -3.5e-3)])
+    text += listing([summed(77, 5e-3, 6e-3, 7e-3)], step=12)
     assert "E-03-2" in text  # numbers run together
     results = parse_listing(text, "r.lis")
     assert results.at(1, 1).displacement == (1e-3, -2e-3, -3e-3)
@@ -46,15 +51,22 @@ def test_pages_load_steps_and_numbers_without_blanks() -> None:
     assert not is_listing("load_step,ux,uy,uz\n1,1,2,3\n")
 
 
+def test_the_sum_is_compared_as_precisely_as_it_is_listed() -> None:
+    text = listing(ROW).replace("1.00000E-03 2.00000E-03 3.00000E-03 3.74166E-03", "0.0010 0.0020 0.0030 0.0038")
+    assert parse_listing(text, "r.lis").at(1, 1).displacement == (1e-3, 2e-3, 3e-3)
+    with pytest.raises(FormatError, match="USUM"):
+        parse_listing(text.replace("0.0038", "0.0042"), "r.lis")
+
+
 def test_components_and_rotations_in_listings_of_their_own() -> None:
     text = "".join(listing([(5, value)], columns=(name,)) for name, value in (("UX", 1.0), ("UY", 2.0), ("UZ", 3.0)))
-    text += listing([(5, 1e-5, 2e-5, 3e-5, 4e-5)], columns=("ROTX", "ROTY", "ROTZ", "RSUM"))
+    text += listing([summed(5, 1e-5, 2e-5, 3e-5)], columns=("ROTX", "ROTY", "ROTZ", "RSUM"))
     result = parse_listing(text, "r.lis").at(1, 5)
     assert result.displacement == (1.0, 2.0, 3.0)
     assert result.rotation == (1e-5, 2e-5, 3e-5)
 
 
-ROW = [(1, 1e-3, 2e-3, 3e-3, 4e-3)]
+ROW = [summed(1, 1e-3, 2e-3, 3e-3)]
 
 
 @pytest.mark.parametrize(
@@ -67,6 +79,13 @@ ROW = [(1, 1e-3, 2e-3, 3e-3, 4e-3)]
         (listing(ROW) + listing(ROW), "listed a second time"),
         (listing(ROW).replace("2.00000E-03", "        NaN"), "not a node with numbers"),
         (listing(ROW).replace("2.00000E-03", "***********"), "not a node with numbers"),
+        (listing(ROW).replace("1.00000E-03 2", "1.00000E-030.2"), "'1  1.00000E-030.2"),
+        (listing(ROW).replace("1.00000E-03 2.00000E-03", "1.2345678.901"), "not a node with numbers"),
+        (listing(ROW).replace("1.00000E-03", "1.00000E-3"), "not a node with numbers"),
+        (listing(ROW).replace("1.00000E-03", "1.00000E-0\u0663"), "not a node with numbers"),
+        (listing(ROW).replace("1.00000E-03", "1.00000E-31"), "USUM is 0.00374166, but UX, UY, UZ give 0.00360555"),
+        (listing(ROW, columns=("UX", "UY", "UZ", "UX")), "UX appears more than once"),
+        (listing(ROW, frame="THE GLOBAL CYLINDRICAL"), "not in the global frame"),
         (listing(ROW).replace("2.00000E-03", "           ", 1), "3 numbers for the 4 columns"),
         (listing(ROW).replace("2.00000E-03", "2.0000E+999"), "not finite"),
         (listing([(1, 1e-3)], columns=("UX",)), "UY, UZ of node 1"),
@@ -83,7 +102,7 @@ def test_mistakes_in_a_listing(text: str, says: str) -> None:
     ("step", "node", "says"), [(2, 1, "load step 2 is not"), (1, None, "lists 2 nodes"), (1, 9, "node 9 is not listed")]
 )
 def test_a_result_that_is_not_there(step: int, node: int | None, says: str) -> None:
-    results = parse_listing(listing([*ROW, (2, 1.0, 1.0, 1.0, 1.0)]), "r.lis")
+    results = parse_listing(listing([*ROW, summed(2, 1.0, 1.0, 1.0)]), "r.lis")
     with pytest.raises(FormatError, match=says):
         results.at(step, node)
 
