@@ -260,8 +260,8 @@ class Owner:
         self._board.show_reconciliation(found)
 
     def reconcile_if_reached(self) -> None:
-        """Call `reconcile` unless a run is in progress, and log any error instead of raising it. The active bank is then
-        not known, so that the next reading compares. The idle machine is not read meanwhile.
+        """Call `reconcile` unless a run is in progress, and log any error instead of raising it. The active bank
+        is then not known, so that the next reading compares. The idle machine is not read meanwhile.
 
         The error is not raised because the machine may still be off, and because the next run calls `reconcile` first
         anyway.

@@ -376,8 +376,8 @@ def _mapping(result: object) -> dict[str, Any]:
 
 
 def _resettable(alarms: tuple[Alarm, ...]) -> bool:
-    """Return True if a reset may clear one of the alarms; that of an endpoint stands until the service ends, and keeps no
-    run from starting."""
+    """Return True if a reset may clear one of the alarms. That of an endpoint stands until the service ends, and keeps
+    no run from starting."""
     return any(ENDPOINT not in alarm.where for alarm in alarms)
 
 
