@@ -153,7 +153,7 @@ OWN_COMMANDS = {
     ),
     "reset": OwnCommand(
         "agent.cli.service_commands.requests:reset_command",
-        "Acknowledge a fault, an abort or an alarm between runs. Nothing moves.",
+        "Acknowledge a fault, an abort or an alarm between runs.",
         logs=False,
     ),
     "resume": OwnCommand(
