@@ -153,7 +153,7 @@ OWN_COMMANDS = {
     ),
     "reset": OwnCommand(
         "agent.cli.service_commands.requests:reset_command",
-        "Acknowledge a fault or an abort, so that the next run can start.",
+        "Acknowledge a fault, an abort or an alarm between runs.",
         logs=False,
     ),
     "resume": OwnCommand(

@@ -210,7 +210,11 @@ class Control(Protocol):
         ...
 
     def reset(self, by: str = "") -> None:
-        """Acknowledge a fault: clear the alarms and return to the state idle. Nothing moves."""
+        """Acknowledge a fault, an abort or an alarm between runs, and return to the state idle. Nothing moves.
+
+        The alarms are cleared, except that of an endpoint that is not open, and that of a comparison of the controller
+        with the journal if the comparison cannot be made again now or finds the same.
+        """
         ...
 
     def answer(self, number: int, yes: bool, by: str = "") -> None:

@@ -55,7 +55,7 @@ def abort_command(config: Path, reason: str) -> None:
 @config_option
 @reported
 def reset_command(config: Path) -> None:
-    """Acknowledge a fault or an abort, so that the next run can start. Nothing moves."""
+    """Acknowledge a fault, an abort or an alarm between runs. Nothing moves."""
     with Client(read_settings(config)) as client:
         client.post("/api/reset")
     click.echo("reset")

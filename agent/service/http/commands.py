@@ -75,7 +75,7 @@ def resume(app_state: AppStateDependency, who: Annotated[Requester, permitted(RE
 
 @with_token.post("/reset")
 def reset(app_state: AppStateDependency, who: Annotated[Requester, permitted(RESET)]) -> RequestAccepted:
-    """Acknowledge a fault or an abort. Nothing moves."""
+    """Acknowledge a fault, an abort or an alarm between runs. Nothing moves."""
     app_state.control.reset(who.name)
     return RequestAccepted()
 

@@ -196,7 +196,7 @@ METHODS: Final = (
     Method("Hold", (), (), "hold the run", free=True),
     Method("Resume", (), (), "continue after a hold"),
     Method("Abort", (Argument("Reason", "String", "reason recorded in the journal"),), (), "abort the run", free=True),
-    Method("Reset", (), (), "acknowledge a fault; nothing moves"),
+    Method("Reset", (), (), "acknowledge a fault, an abort or an alarm between runs; nothing moves"),
     Method(
         "Answer",
         (Argument("Number", "Int32", "number of the question"), Argument("Yes", "Boolean", "the answer")),

@@ -260,8 +260,8 @@ class Owner:
         self._board.show_reconciliation(found)
 
     def reconcile_if_reached(self) -> None:
-        """Call `reconcile` unless a run is in progress, and log any error instead of raising it. The idle machine is
-        not read meanwhile.
+        """Call `reconcile` unless a run is in progress, and log any error instead of raising it. The active bank
+        is then not known, so that the next reading compares. The idle machine is not read meanwhile.
 
         The error is not raised because the machine may still be off, and because the next run calls `reconcile` first
         anyway.
@@ -270,9 +270,16 @@ class Owner:
             with self._changed:
                 self._await_reading()
                 if self._running is None:
-                    self.reconcile()
+                    self._compare_or_forget()
         except VolcalError as error:
             log.warning("compensation in the controller not checked yet", reason=str(error))
+
+    def _compare_or_forget(self) -> None:
+        try:
+            self.reconcile()
+        except VolcalError as error:
+            self._board.show_bank(None, error.message)
+            raise
 
     def read_idle(self) -> None:
         """Ask the devices whether they answer and the controller which compensation is active, unless a run is in

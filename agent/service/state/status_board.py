@@ -36,7 +36,7 @@ from agent.service.allowed_requests import AT_REST, allowed_in
 from agent.service.control import Alarm, Question, Status
 from agent.service.state.controller_reading import ControllerReading
 from agent.service.state.event_log import EventLog
-from agent.service.state.idle_alarms import IdleAlarms
+from agent.service.state.idle_alarms import ENDPOINT, IdleAlarms
 from drivers.clock import RealClock, utc_timestamp
 from drivers.errors import StoreError
 from drivers.roles import Miss, Touch
@@ -98,7 +98,12 @@ class IdleStatus:
 @dataclass
 class StatusBoard:
     """Current status of the service, from which all endpoints read. Any thread may read it. Every change of the state
-    is published as an event. Alarms that arise between runs are recorded in `kept`."""
+    is published as an event. Alarms that arise between runs are recorded in `kept`.
+
+    Two kinds of these alarms outlast a reset. That of an endpoint that is not open stands until the service ends. That
+    of a comparison of the controller with the journal ends with the next comparison, which a reset asks for: its cause
+    may still stand.
+    """
 
     machine: str
     event_log: EventLog
@@ -106,6 +111,9 @@ class StatusBoard:
     kept: IdleAlarms | None = None
     _read_at_s: float | None = None
     _unexpected: bool = False
+    _of_endpoints: tuple[Alarm, ...] = ()
+    _of_comparisons: tuple[Alarm, ...] = ()
+    _acknowledged: tuple[Alarm, ...] = ()
     _status: Status = field(init=False)
 
     def __post_init__(self) -> None:
@@ -119,7 +127,7 @@ class StatusBoard:
     def status(self) -> Status:
         now = self._status
         question_open, unfinished = now.question is not None, now.unfinished is not None
-        unproved, alarm_open = now.unproved is not None, bool(now.alarms)
+        unproved, alarm_open = now.unproved is not None, _resettable(now.alarms)
         may = allowed_in(
             now.state, unfinished=unfinished, question_open=question_open, unproved=unproved, alarm_open=alarm_open
         )
@@ -189,11 +197,17 @@ class StatusBoard:
     def show_left_open(self) -> None:
         """Show the alarms that arose between runs and were open when the service ended."""
         if self.kept is not None:
-            self._change(alarms=(*self._status.alarms, *self.kept.left_open()))
+            self._of_comparisons = self.kept.left_open()
+            self._change(alarms=(*self._status.alarms, *self._of_comparisons))
 
     def reset(self) -> None:
-        self._end_alarms(self._status.alarms)
-        self._change(alarms=(), fraction=0.0, minutes_left=None, step="", run_id=None, kind=None, started=None)
+        """Return to the state idle and clear the alarms, except those that stand until the next comparison of the
+        controller with the journal or until the service ends."""
+        shown = self._status.alarms
+        self._acknowledged = tuple(alarm for alarm in shown if alarm in self._of_comparisons)
+        standing = (*self._acknowledged, *self._of_endpoints)
+        self._end_alarms(tuple(alarm for alarm in shown if alarm not in standing))
+        self._change(alarms=standing, fraction=0.0, minutes_left=None, step="", run_id=None, kind=None, started=None)
         self._change(source="", by="", balls=0, touches=0, verdict=None)
         self.enter(RunState.IDLE, "reset")
 
@@ -202,6 +216,8 @@ class StatusBoard:
         controller. If a person must act, show the instruction as an alarm."""
         unfinished, former = result.unfinished, self._status.unproved
         told = () if former is None else tuple(a for a in self._status.alarms if a.text.startswith(former.situation))
+        told, self._acknowledged = (*told, *self._acknowledged), ()
+        self._of_comparisons = tuple(alarm for alarm in self._of_comparisons if alarm not in told)
         self._end_alarms(told)
         self._change(
             alarms=tuple(alarm for alarm in self._status.alarms if alarm not in told),
@@ -218,13 +234,15 @@ class StatusBoard:
             situation = result.state.value if result.unproved is None else result.unproved.situation
             alarm = alarm_of(StoreError(f"{situation}{refused}", hint=result.instruction))
             if alarm not in self._status.alarms:  # after each interruption of the link, the comparison is made again
+                self._of_comparisons = (*self._of_comparisons, alarm)
                 self.idle_alarm(alarm)
 
     # ------------------------------------------------------------------ a run
 
     def begin_run(self, run_id: str, kind: str, source: Source, position_set: str | None, by: str = "") -> None:
         """Show a run that begins now. `by` is the name of who asked for it if it is known."""
-        self._end_alarms(self._status.alarms)
+        self._end_alarms(tuple(alarm for alarm in self._status.alarms if alarm not in self._of_endpoints))
+        self._of_comparisons = self._acknowledged = ()
         self._change(
             ve_now_um=self.status().ve_now_um,  # not that of a table which the controller had lost before
             run_id=run_id,
@@ -310,6 +328,8 @@ class StatusBoard:
 
     def idle_alarm(self, alarm: Alarm) -> None:
         """Add an alarm that arose between runs, and record it in the journal."""
+        if ENDPOINT in alarm.where:
+            self._of_endpoints = (*self._of_endpoints, alarm)
         if self.kept is not None:
             self.kept.keep(alarm)
         self.alarm(alarm)
@@ -355,6 +375,12 @@ def _mapping(result: object) -> dict[str, Any]:
     return dict(result) if isinstance(result, dict) else {}
 
 
+def _resettable(alarms: tuple[Alarm, ...]) -> bool:
+    """Return True if a reset may clear one of the alarms. That of an endpoint stands until the service ends, and keeps
+    no run from starting."""
+    return any(ENDPOINT not in alarm.where for alarm in alarms)
+
+
 def _doing_now(status: Status) -> str:
     """Return the current activity as one line of text. Between runs it says if an unproved table is active; panels show
     48 characters of it."""
@@ -363,8 +389,8 @@ def _doing_now(status: Status) -> str:
         return f"{words}: unproved table active (bank {status.unproved.bank})"
     if status.verdict is not None and status.state in AT_REST:
         return status.verdict.sentence["en"]
-    if status.state is S.IDLE and (status.alarms or status.unfinished is not None):
-        return "not ready: an alarm is open" if status.alarms else f"run {status.unfinished} is unfinished"
+    if status.state is S.IDLE and (_resettable(status.alarms) or status.unfinished is not None):
+        return "not ready: an alarm is open" if _resettable(status.alarms) else f"run {status.unfinished} is unfinished"
     return doing(status.state, status.step, status.kind, status.phase)
 
 

@@ -18,6 +18,7 @@ from agent.runs.run_request import RunRequest
 from agent.service.alarms import CODES, DEFECT
 from agent.service.control import Alarm
 from agent.service.state.alarm_list import alarm_page
+from agent.service.state.controller_reading import ControllerReading
 from agent.service.state.idle_alarms import ENDPOINT
 from drivers.clock import VirtualClock
 from drivers.errors import LinkLost, MotionFault, VolcalError
@@ -105,6 +106,46 @@ def test_an_alarm_between_runs_is_listed_and_the_same_after_a_restart(tmp_path: 
     assert alarm_page(tmp_path, 10, 0).total == 0
     with house(tmp_path) as acknowledged:
         assert acknowledged.owner.status().alarms == ()
+
+
+@pytest.mark.parametrize("mended", [False, True])
+def test_a_reset_that_cannot_compare_keeps_the_alarm_until_the_next_reading(tmp_path: Path, mended: bool) -> None:
+    lost = Reconciliation(CompensationState.LOST, ReconcileAction.NOTHING, 0, instruction="look at the controller")
+    expected = Reconciliation(CompensationState.AS_EXPECTED, ReconcileAction.NOTHING, 0)
+    with house(tmp_path) as built:
+        built.machine.found.append(lost)
+        built.owner.reconcile_if_reached()
+        (alarm,) = built.owner.status().alarms
+        built.machine.away.append(LinkLost("no answer"))
+        built.owner.reset()
+        status = built.owner.status()
+        assert (status.alarms, status.doing, status.active_bank) == ((alarm,), "not ready: an alarm is open", None)
+        assert (status.read_problem, "reset" in status.may) == ("no answer", True)
+        assert [one.until for one in alarm_page(tmp_path, 10, 0).alarms] == [None]
+        built.machine.found.append(expected if mended else lost)
+        built.machine.readings.extend([ControllerReading((), 0), ControllerReading((), 0)])
+        built.owner.read_idle()
+        built.owner.read_idle()
+        status = built.owner.status()
+        assert (status.alarms, status.active_bank) == (() if mended else (alarm,), 0)
+        assert [one.until is None for one in alarm_page(tmp_path, 10, 0).alarms].count(True) == len(status.alarms)
+        assert status.doing == ("ready to start" if mended else "not ready: an alarm is open")
+
+
+def test_the_alarm_of_an_endpoint_that_is_not_open_outlasts_each_reset(tmp_path: Path) -> None:
+    endpoint = Alarm(203, "the service goes on without OPC UA", where={ENDPOINT: "OPC UA"})
+    with house(tmp_path) as built:
+        built.parts.board.idle_alarm(endpoint)
+        status = built.owner.status()
+        assert (status.alarms, status.doing, "reset" in status.may) == ((endpoint,), "ready to start", False)
+        built.owner.reset()
+        assert built.owner.status().alarms == (endpoint,)
+        lost = ended(built, tmp_path, RunState.FAULTED, LOST)  # an alarm of the run is shown alone
+        assert lost.code == CODES[LinkLost].code
+        built.owner.reset()
+        assert built.owner.status().alarms == (endpoint,)
+        still_open = [one.alarm for one in alarm_page(tmp_path, 10, 0).alarms if one.until is None]
+        assert endpoint in still_open
 
 
 def test_who_held_resumed_and_answered_is_in_the_journal(tmp_path: Path) -> None:

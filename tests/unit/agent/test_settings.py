@@ -14,6 +14,7 @@ from agent.settings.load import load_settings
 from agent.settings.schema import parse_settings
 from drivers.registry import check_options
 from simulators.scenario import read_scenario
+from twin.finite_elements.structure_file import parse_structure
 from twin.errors import FormatError
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
@@ -21,6 +22,7 @@ READERS = {
     "machines": load_machine,
     "artefacts": load_artefact,
     "simulators": read_scenario,
+    "structures": lambda path: parse_structure(path.read_text(encoding="utf-8"), str(path)),
     "config": lambda path: prepare_job(load_settings(path), path.parent),
     "linuxcnc": lambda path: prepare_job(load_settings(path), path.parent),
     "examples": lambda path: [

@@ -39,24 +39,37 @@ const YIELD_MS = 1000;
 const reading = new Set();
 let held = Promise.resolve();
 
-/* Reads a document. A reading that `askFirst` has broken off is begun again, so that nobody misses what it was to bring. */
-export async function read(path, { withToken = false } = {}) {
+/* Reads a document; `signal` breaks it off for good. */
+export const read = (path, { withToken = false, signal } = {}) =>
+  fetched(path, () => ({ accept: "application/json", ...(withToken ? authorized() : {}) }), asJson, signal);
+
+/* Fetches a file that requires the token. */
+export const fetchFile = (path) => fetched(path, authorized, (response) => response.blob());
+
+/* A reading that `askFirst` has broken off is begun again, so that nobody misses what it was to bring. */
+async function fetched(path, headers, content, signal) {
   for (;;) {
     await held;
     const controller = new AbortController();
+    const stop = () => controller.abort();
+    if (signal?.aborted) stop();
+    signal?.addEventListener("abort", stop);
     reading.add(controller);
     try {
-      return await answered(fetch(path, { headers: { accept: "application/json", ...(withToken ? authorized() : {}) }, signal: controller.signal }), asJson);
+      return await answered(fetch(path, { headers: headers(), signal: controller.signal }), content);
     } catch (error) {
-      if (!controller.signal.aborted) throw error;
+      if (!controller.signal.aborted || signal?.aborted) throw error;
     } finally {
+      signal?.removeEventListener("abort", stop);
       reading.delete(controller);
     }
   }
 }
 
 /* Sends a request before all reading. Browsers open at most six connections to a host: an abort must not wait for
-   responses that are being computed. They are broken off, and asked for again once the request has been answered. */
+   responses that are being computed. Documents and files are broken off, and asked for again once the request has been
+   answered. The stream of events and what `ask` has sent keep their connections: a request may have been carried out
+   already. */
 export async function askFirst(path, body) {
   let release;
   held = new Promise((resolve) => {
@@ -74,11 +87,6 @@ export async function askFirst(path, body) {
 export async function ask(path, body) {
   const headers = { "content-type": "application/json", ...authorized() };
   return answered(fetch(path, { method: "POST", headers, body: JSON.stringify(body ?? {}) }), asJson);
-}
-
-/* Fetches a file that requires the token. */
-export async function fetchFile(path) {
-  return answered(fetch(path, { headers: authorized() }), (response) => response.blob());
 }
 
 /* True if the service does not accept the token at all; a role that does not permit the request is another matter. */
