@@ -19,6 +19,7 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.compensation.table import CompensationTable
+from twin.errors import DataError
 from twin.machine.kinematic_chain import AXES
 from twin.workpiece.acceptance import AcceptanceTest, PredictedTest
 from twin.workpiece.conformity import Conformity
@@ -41,6 +42,9 @@ TITLES: Mapping[str, str] = {
 }
 _NEED_LOST_MOTION = ("A", "E", "R", "B")
 _NEED_SCATTER = ("A", "A±", "R", "R±", "B")
+FEWEST_FREEDOM = 3
+"""Degrees of freedom from which a scatter is stated. With one, it has no finite mean, and with two no finite variance: a
+figure would lie outside its own limits, or differ from one set of draws to the next."""
 _DRAWS = 1000
 _SEED = 23
 
@@ -52,6 +56,9 @@ class AxisRepeats:
     `scatter_mm` is the standard deviation of touches for which the axis came from the same side, with `freedom` degrees
     of freedom; None if it was not measured. `lost_mm` is the lost motion and `lost_sigma_mm` its standard uncertainty,
     measured at the axis position `at_mm`; None if it was not measured.
+
+    Raises DataError if a standard deviation is negative, or if the scatter has fewer than `FEWEST_FREEDOM` degrees of
+    freedom.
     """
 
     scatter_mm: float | None = None
@@ -59,6 +66,15 @@ class AxisRepeats:
     lost_mm: float | None = None
     lost_sigma_mm: float = 0.0
     at_mm: float = 0.0
+
+    def __post_init__(self) -> None:
+        if min(self.scatter_mm or 0.0, self.lost_sigma_mm) < 0.0:
+            raise DataError("a standard deviation of repeated touches cannot be negative")
+        if self.scatter_mm is not None and self.freedom < FEWEST_FREEDOM:
+            raise DataError(
+                f"a scatter with {self.freedom} degrees of freedom is too uncertain: {FEWEST_FREEDOM} are needed",
+                hint="Touch more often",
+            )
 
     @property
     def figures(self) -> tuple[str, ...]:
