@@ -26,7 +26,7 @@ GUIDES_UNKNOWN = (
     "file (axes.X.guide), and name this file with --machine."
 )
 _DIGITS = 3
-_LEAST_HEIGHT_MM = 5e-5
+_LEAST_HEIGHT_MM, _LEAST_SHIM_MM = 5e-4, 5e-5  # a smaller one would be stated as 0
 
 
 @dataclass(frozen=True)
@@ -78,10 +78,7 @@ def propose_actions(
 def action_text(action: MechanicalAction) -> str:
     """Return what to do at the machine, in words."""
     if action.kind is ActionKind.STRAIGHTNESS:
-        shims = ", ".join(
-            f"{UM_PER_MM * shim.amount_mm:+.1f} µm at {action.axis} = {shim.at_mm:.0f} mm" for shim in action.shims
-        )
-        return f"straighten the guide of {action.axis}: shim it towards +{action.towards} by {shims}"
+        return _shims_text(action)
     if action.kind is ActionKind.LEVEL:
         return _level_text(action)
     over = f"{UM_PER_MM * abs(action.over_travel_mm):.1f} µm"
@@ -98,10 +95,22 @@ def action_text(action: MechanicalAction) -> str:
 def amount_texts(action: MechanicalAction) -> tuple[str, str]:
     """Return the amounts of an action and their expanded uncertainties (k = 2), with their unit."""
     if action.kind is ActionKind.STRAIGHTNESS:
-        amounts = ", ".join(f"{UM_PER_MM * shim.amount_mm:+.1f}" for shim in action.shims)
+        amounts = ", ".join(f"{UM_PER_MM * shim.amount_mm:.1f}" for shim in action.shims)
         bounds = ", ".join(f"{UM_PER_MM * shim.expanded_mm:.1f}" for shim in action.shims)
         return f"{amounts} µm", f"± {bounds} µm"
     return f"{UM_PER_M * action.amount:+.1f} µm/m", f"± {UM_PER_M * action.expanded:.1f} µm/m"
+
+
+def _shims_text(action: MechanicalAction) -> str:
+    """Return where a guide is to be shimmed by how much. Places without a shim are left out."""
+    first, *between, _ = action.shims
+    ends = [f"{UM_PER_MM * first.amount_mm:.1f} µm at both ends"] if first.amount_mm > _LEAST_SHIM_MM else []
+    shims = [
+        f"{UM_PER_MM * shim.amount_mm:.1f} µm at {action.axis} = {shim.at_mm:.0f} mm"
+        for shim in between
+        if shim.amount_mm > _LEAST_SHIM_MM
+    ]
+    return f"straighten the guide of {action.axis}: shim it towards +{action.towards} by {', '.join(ends + shims)}"
 
 
 def _level_text(action: MechanicalAction) -> str:

@@ -43,7 +43,7 @@ TITLES: Mapping[str, str] = {
 _NEED_LOST_MOTION = ("A", "E", "R", "B")
 _NEED_SCATTER = ("A", "A±", "R", "R±", "B")
 FEWEST_FREEDOM = 3
-"""Degrees of freedom from which a scatter is stated. With one, it has no finite mean, and with two no finite variance: a
+"""Degrees of freedom from which a scatter is stated. With one it has no finite mean, with two no finite variance: a
 figure would lie outside its own limits, or differ from one set of draws to the next."""
 _DRAWS = 1000
 _SEED = 23

@@ -71,12 +71,16 @@ def test_the_machine_file_adds_shims(folder: Path) -> None:
     assert shimmed
     assert shimmed[0] is known["actions"][0]
     assert (shimmed[0]["axis"], shimmed[0]["towards"]) == ("X", "Z")
-    assert shimmed[0]["shims"][1]["amount_um"] < -15.0
+    amounts_um = [shim["amount_um"] for shim in shimmed[0]["shims"]]
+    assert amounts_um[2] < 1.0
+    assert amounts_um[0] == amounts_um[-1] > 15.0
     for one in shimmed:
         assert one["axis"] in "XZ"
-        assert len(one["shims"]) == 3
-        assert max(abs(shim["amount_um"]) - shim["expanded_um"] for shim in one["shims"]) > 0.0
-        assert all(f"= {shim['at_mm']:.0f} mm" in one["text"] for shim in one["shims"])
+        assert len(one["shims"]) == 5
+        ends, *between, _ = one["shims"]
+        assert min(shim["amount_um"] for shim in one["shims"]) == 0.0
+        assert max(abs(shim["amount_um"] - ends["amount_um"]) - shim["expanded_um"] for shim in between) > 0.0
+        assert all(f"= {shim['at_mm']:.0f} mm" in one["text"] for shim in between if shim["amount_um"] > 0.05)
     for one in known["actions"]:
         if one["kind"] == "level":
             assert min(one["raised_feet_um"].values()) == 0.0
@@ -95,6 +99,8 @@ def test_people_read_units_and_what_is_not_known(folder: Path) -> None:
     [
         ("[0.0, 4000.0]", "[0.0, 3900.0]", "another machine than the estimate"),
         ("shoes_mm = 600.0", "shoes_mm = 0.0", "axes.X.guide.shoes_mm"),
+        ("shoes_mm = 600.0", "shoes_mm = 1e-9", "axes.X.guide.shoes_mm"),
+        ("shoes_mm = 500.0", "shoes_mm = 5000.0", "axes.Z.guide.shoes_mm"),
         ("centre_mm = [0.0, -500.0, -400.0]", "", "axes.X.guide.centre_mm"),
         ('name = "4"\nat_mm = [4300, 900]', 'name = "left rear"\nat_mm = [4300, 900]', "is listed twice"),
         ("at_mm = [4300, 900]", "at_mm = [4300, inf]", "feet[3].at_mm[1]"),
