@@ -82,16 +82,18 @@ def list_command(config: Path, machine: str | None, last: int, as_json_object: b
 def trend_command(
     config: Path, machine: str | None, names: tuple[str, ...], figure: Path | None, as_json_object: bool
 ) -> None:
-    """Show drift per night, control limits and nights left.
+    """Show drift per night, control limits, and the date at which a tolerance is reached.
 
     The exit code is 4 if a tolerance has been reached or will be soon.
     """
     # The mathematics of trends is slow to import, and the list of runs does not need it.
+    from agent.history.helpful_actions import alarms_json, helpful_actions, hint_of  # noqa: PLC0415
     from agent.history.overview import alarms_of, most_relevant, select_trends, trends_of  # noqa: PLC0415
     from agent.history.trends import AlarmKind  # noqa: PLC0415
 
     with _opened(config) as (settings, store):
-        trends = trends_of(store.runs(machine or store.address.machine), settings.history)
+        runs = store.runs(machine or store.address.machine)
+        trends = trends_of(runs, settings.history)
     if not trends:
         raise InputError("no run has produced a value yet", hint="`volcal history list` shows all runs")
     shown = select_trends(trends, names) if names else most_relevant(trends, 12)
@@ -100,19 +102,22 @@ def trend_command(
 
         write_all_atomically(figure.parent, {figure.name: trends_png(shown)})
     alarms = alarms_of(trends)
+    actions = helpful_actions(trends, runs, settings.state_directory)
     if as_json_object:
+        helps = {name: action.as_json() for name, action in actions.items()}
         document = {
-            "trends": [trend.as_json() for trend in shown],
-            "alarms": [{"series": a.series, "kind": a.kind.value, "text": a.text} for a in alarms],
+            "trends": [{**trend.as_json(), "action": helps.get(trend.series.name)} for trend in shown],
+            "alarms": alarms_json(alarms, actions),
         }
         click.echo(json.dumps(document, allow_nan=False))
     else:
         results_console().print(_trend_table(shown))
-    grave = [alarm.text for alarm in alarms if alarm.kind is not AlarmKind.CONTROL]
+    grave = [alarm for alarm in alarms if alarm.kind is not AlarmKind.CONTROL]
     for alarm in alarms:
         click.echo(f"{alarm.kind.value}: {alarm.text}", err=True)
     if grave:
-        raise fail(MeasurementFault("; ".join(grave), hint="calibrate before the tolerance is reached"))
+        hints = dict.fromkeys(hint_of(alarm, actions) for alarm in grave)  # each of them once
+        raise fail(MeasurementFault("; ".join(alarm.text for alarm in grave), hint="; ".join(hints)))
 
 
 @history_group.command("compare")
@@ -274,15 +279,28 @@ def _compaction_table(compactions: Sequence[Compaction]) -> Table:
 
 
 def _trend_table(trends: tuple[Trend, ...]) -> Table:
-    table = columns_table(("series", "now", "a night (95 %)", "steps", "tolerance", "nights left"))
+    soon = f"within {trends[0].warn_nights:g} nights"
+    table = columns_table(("series", "now", "a night (95 %)", "steps", "tolerance", "reached (5 to 95 %)", soon))
     for trend in trends:
-        series, drift, reach = trend.series, trend.drift, trend.crossing
+        series, drift = trend.series, trend.drift
         table.add_row(
             series.title,
             f"{series.values[-1]:.2f} {series.unit}",
             "-" if drift is None else f"{drift.slope:+.3f} ± {drift.factor * drift.slope_sigma:.3f}",
             "" if drift is None else ", ".join(f"{size:+.1f} at {at:.0f}" for at, size, _ in drift.steps),
             "" if series.tolerance is None else f"{series.tolerance:g}",
-            "" if reach is None else f"{reach.expected:.0f} (≥ {reach.earliest:.0f})",
+            _dates_text(trend),
+            "" if trend.forecast is None else f"{100.0 * trend.forecast.within(trend.warn_nights):.0f} %",
         )
     return table
+
+
+def _dates_text(trend: Trend) -> str:
+    """Return the date at which the tolerance is reached, with its range; the nights left if there is no forecast."""
+    forecast, reach = trend.forecast, trend.crossing
+    if forecast is None:
+        return "" if reach is None else f"in {reach.expected:.0f} (≥ {reach.earliest:.0f}) nights"
+    low, middle, high = (
+        "later" if date is None else f"{date:%Y-%m-%d}" for date in map(trend.date_reached, (0.05, 0.5, 0.95))
+    )
+    return middle if low == "later" else f"{middle} ({low} to {high})"

@@ -1,5 +1,5 @@
 """Figure of the trends of a machine's results. It shows values, uncertainties, fitted lines with uncertainty bands,
-sudden changes (steps), control limits and tolerances.
+sudden changes (steps), control limits, tolerances, and when these are reached.
 """
 
 from __future__ import annotations
@@ -26,10 +26,13 @@ from agent.figures.style import (
 )
 from agent.history.trends import Trend
 from twin.monitoring import Drift
+from twin.monitoring.limit_forecast import HIGH, LOW, LimitForecast
 
 COVERAGE = 2.0
 _COLUMNS = 2
 _ROW_IN = 2.2
+_ABOVE = 1.08  # room above the tolerance
+_BEYOND = 1.1  # of the last date that is marked
 
 
 def trends_png(trends: Sequence[Trend]) -> bytes:
@@ -77,6 +80,8 @@ def _panel(panel: Axes, trend: Trend, quiet: str) -> None:
             panel.axhline(side * series.tolerance, color=PURPLE, linewidth=1.0, linestyle="--")
     if not series.two_sided:
         panel.set_ylim(bottom=0.0)
+    if trend.forecast is not None:
+        _ahead(panel, trend, trend.forecast)
     panel.set_ylabel(series.unit)
     panel.xaxis.set_major_locator(MaxNLocator(nbins=4))
     panel.xaxis.set_major_formatter(FuncFormatter(lambda night, _: f"{series.date(night):%Y-%m-%d}"))
@@ -101,3 +106,26 @@ def _line(panel: Axes, trend: Trend, drift: Drift, quiet: str) -> None:
     value, sigma = np.array(ahead).T
     half = drift.factor * sigma
     panel.fill_between(recent, value - half, value + half, color=ORANGE, alpha=BAND_OPACITY, linewidth=0)
+
+
+def _ahead(panel: Axes, trend: Trend, forecast: LimitForecast) -> None:
+    """Draw the expected value of the next nights with the band from 5 % to 95 %, and the dates at which the tolerance
+    is reached with 5 %, 50 % and 95 % as marks on it.
+
+    Nothing is drawn if no date is expected: the nights that were measured then have the whole width.
+    """
+    expected, last = forecast.nights_to(0.5), float(trend.series.nights[-1])
+    if expected is None:
+        return
+    low, high = panel.get_ylim()  # a wide band would press the values together
+    panel.set_ylim(low, max(high, _ABOVE * forecast.limit))
+    end = min(forecast.horizon, _BEYOND * (forecast.nights_to(HIGH) or forecast.horizon))
+    shown = forecast.nights <= end
+    nights = last + forecast.nights[shown]
+    panel.plot(nights, forecast.middle[shown], color=ORANGE, linewidth=1.2, linestyle="--")
+    panel.fill_between(nights, forecast.low[shown], forecast.high[shown], color=ORANGE, alpha=0.5 * BAND_OPACITY, lw=0)
+    side = np.sign(np.interp(expected, forecast.nights, forecast.middle)) if trend.series.two_sided else 1.0
+    for probability, mark in ((LOW, "|"), (0.5, "o"), (HIGH, "|")):
+        ahead = forecast.nights_to(probability)
+        if ahead is not None:
+            panel.plot(last + ahead, side * forecast.limit, mark, color=PURPLE, markersize=6 if mark == "o" else 11)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 from agent.history.schema import StoredRun
 from agent.history.series import ACTIVE, BARE, HELD_OUT, Series, all_series
@@ -21,10 +22,11 @@ def trends_of(runs: Sequence[StoredRun], settings: HistorySettings, known: Seque
     whose series has not changed are returned as they are.
     """
     before = {trend.series.name: trend for trend in known}
+    made = partial(trend_of, warn_nights=settings.warn_nights, warn_probability=settings.warn_probability)
 
     def trend(series: Series) -> Trend:
         same = before.get(series.name)
-        return same if same is not None and series.same_as(same.series) else trend_of(series, settings.warn_nights)
+        return same if same is not None and series.same_as(same.series) else made(series)
 
     return tuple(trend(series) for series in all_series(runs, settings))
 

@@ -143,7 +143,7 @@ def _volumetric(runs: Sequence[StoredRun], timeline: _Timeline, settings: Histor
     changed = _nights_where(runs, timeline, lambda run: run.night in CHANGED_MACHINE)
     anew = _nights_where(runs, timeline, lambda run: bool(run.accepted) and run.kind == "calibrate") + changed
     readings: tuple[tuple[str, Callable[[StoredRun], tuple[float | None, float | None]], float | None], ...] = (
-        (BARE, lambda run: (run.ve_before_um, run.ve_before_sigma_um), None),
+        (BARE, lambda run: (run.ve_before_um, run.ve_before_sigma_um), settings.ve_bare_tolerance_um),
         (ACTIVE, lambda run: (run.acting_um, None), settings.ve_tolerance_um),
         (
             HELD_OUT,

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import datetime
 from enum import Enum
 from typing import Any
 
@@ -27,9 +28,13 @@ from twin.monitoring import (
     limit_crossing,
 )
 from twin.monitoring.drift import MIN_FREEDOM_FOR_SCALE
+from twin.monitoring.limit_forecast import HIGH, LOW, LimitForecast, forecast_limit
 
 HORIZON_NIGHTS = 3650.0
 MIN_CHARTED = 8
+WARN_PROBABILITY = 0.5
+"""Probability of reaching a tolerance within the nights of a warning with which an alarm is raised."""
+_COURSE_DIGITS = 4
 
 
 class AlarmKind(Enum):
@@ -59,7 +64,9 @@ class Trend:
     `drift` is the fitted change per night; it is None if there are too few values. `chart` and `smoothed` are control
     charts of the values, and of their exponentially weighted mean, since the last sudden change (step). Both are None
     if there are fewer than `MIN_CHARTED` (8) such values. `crossing` predicts the time at which the series will reach
-    its tolerance; it is None if there is no tolerance or no drift.
+    its tolerance; it is None if there is no tolerance or no drift. `forecast` contains the probability of this; it is
+    None if there is no tolerance, if it is already reached, or if there are too few values. `warn_nights` is the time
+    for which the probability is stated.
     """
 
     series: Series
@@ -67,7 +74,15 @@ class Trend:
     chart: IndividualsChart | None
     smoothed: EwmaChart | None
     crossing: LimitCrossing | None
+    forecast: LimitForecast | None
+    warn_nights: float
     alarms: tuple[TrendAlarm, ...]
+
+    def date_reached(self, probability: float) -> datetime | None:
+        """Return the UTC time by which the tolerance is reached with this `probability`, or None if the forecast names
+        none."""
+        nights = None if self.forecast is None else self.forecast.nights_to(probability)
+        return None if nights is None else self.series.date(float(self.series.nights[-1]) + nights)
 
     def as_json(self) -> dict[str, Any]:
         """Return the trend as a mapping to be written as JSON. The keys are described in docs/reference/json.md."""
@@ -90,11 +105,32 @@ class Trend:
             "control_limits": None if chart is None else [chart.lower, chart.centre, chart.upper],
             "nights_left": None if reach is None else _finite(reach.expected),
             "nights_left_at_least": None if reach is None else _finite(reach.earliest),
+            "forecast": self._forecast_json(),
             "alarms": [{"kind": alarm.kind.value, "text": alarm.text} for alarm in self.alarms],
         }
 
+    def _forecast_json(self) -> dict[str, Any] | None:
+        forecast = self.forecast
+        if forecast is None:
+            return None
+        dates = [self.date_reached(probability) for probability in (LOW, 0.5, HIGH)]
+        course = {
+            name: getattr(forecast, name).round(_COURSE_DIGITS).tolist()
+            for name in ("nights", "probability", "low", "middle", "high")
+        }
+        return {
+            "warn_nights": self.warn_nights,
+            "probability": round(forecast.within(self.warn_nights), _COURSE_DIGITS),
+            "horizon_nights": forecast.horizon,
+            "dates": [None if date is None else f"{date:%Y-%m-%d}" for date in dates],
+            "nights_to": [forecast.nights_to(probability) for probability in (LOW, 0.5, HIGH)],
+            "course": course,
+        }
 
-def trend_of(series: Series, warn_nights: float) -> Trend:
+
+def trend_of(series: Series, warn_nights: float, warn_probability: float = WARN_PROBABILITY) -> Trend:
+    """Return the trend of a series, with an alarm if its tolerance will be reached within `warn_nights` nights with a
+    probability of at least `warn_probability`."""
     drift = _drift(series)
     last_step = max((at for at, _, _ in drift.steps), default=-math.inf) if drift is not None else -math.inf
     recent = series.values[series.nights >= last_step]
@@ -103,8 +139,10 @@ def trend_of(series: Series, warn_nights: float) -> Trend:
     reach = None
     if series.tolerance is not None and drift is not None:
         reach = limit_crossing(drift, series.tolerance, HORIZON_NIGHTS, two_sided=series.two_sided)
-    alarms = (*_tolerance_alarm(series, drift, reach, warn_nights), *_control_alarm(series, chart, smoothed))
-    return Trend(series, drift, chart, smoothed, reach, alarms)
+    forecast = None if drift is None else _forecast(series, drift)
+    found = Trend(series, drift, chart, smoothed, reach, forecast, warn_nights, ())
+    alarms = (*_tolerance_alarm(found, warn_probability), *_control_alarm(series, chart, smoothed))
+    return replace(found, alarms=alarms)
 
 
 def _drift(series: Series) -> Drift | None:
@@ -120,24 +158,64 @@ def _drift(series: Series) -> Drift | None:
     return drift if series.stated or drift.freedom >= MIN_FREEDOM_FOR_SCALE else None
 
 
-def _tolerance_alarm(
-    series: Series, drift: Drift | None, reach: LimitCrossing | None, warn_nights: float
-) -> Iterable[TrendAlarm]:
-    tolerance = series.tolerance
+def _forecast(series: Series, drift: Drift) -> LimitForecast | None:
+    """Return the forecast for the tolerance of the series. Return None if there is no tolerance, if it is reached, or
+    if there are too few values."""
+    if series.tolerance is None or _is_at(series, series.tolerance):
+        return None
+    steps = [at for at, _, _ in drift.steps]
+    sigmas = series.sigmas if series.stated else np.ones_like(series.values)
+    return forecast_limit(series.nights, series.values, sigmas, series.tolerance, steps, two_sided=series.two_sided)
+
+
+def _is_at(series: Series, tolerance: float) -> bool:
+    value = float(series.values[-1])
+    return (abs(value) if series.two_sided else value) >= tolerance
+
+
+def _tolerance_alarm(trend: Trend, warn_probability: float) -> Iterable[TrendAlarm]:
+    """Yield an alarm if the tolerance is reached, or if it will probably be reached within the nights of a warning.
+
+    With too few values for a probability, the fitted line must reach the tolerance within these nights.
+    """
+    series, tolerance, drift, reach = trend.series, trend.series.tolerance, trend.drift, trend.crossing
     if tolerance is None:
         return
-    value = float(series.values[-1])
-    if (abs(value) if series.two_sided else value) >= tolerance:
-        text = f"{series.title} is {value:.2f} {series.unit}: tolerance {tolerance:g} {series.unit} reached"
+    value = f"{series.values[-1]:.2f}"
+    if _is_at(series, tolerance):
+        text = f"{series.title} is {value} {series.unit}: tolerance {tolerance:g} {series.unit} reached"
         yield TrendAlarm(series.name, AlarmKind.LIMIT, text, 0.0)
-    elif drift is not None and reach is not None and drift.significant and reach.expected <= warn_nights:
-        rate, doubt = abs(drift.slope), drift.factor * drift.slope_sigma
+    elif drift is not None and trend.forecast is not None:
+        if trend.forecast.within(trend.warn_nights) >= warn_probability:
+            now = f"{series.title} amounts to {value} {series.unit}"
+            text = _forecast_text(_rate_text(series, drift) if drift.significant else now, trend, trend.forecast)
+            yield TrendAlarm(series.name, AlarmKind.TREND, text, trend.forecast.nights_to(0.5))
+    elif drift is not None and reach is not None and drift.significant and reach.expected <= trend.warn_nights:
         in_nights = max(math.floor(reach.expected), 0)
-        text = (
-            f"{series.title} {'grows' if drift.slope * drift.level > 0.0 else 'changes'} by {rate:.2f} ± {doubt:.2f} "
-            f"{series.unit} per night: tolerance {tolerance:g} {series.unit} reached in {in_nights} nights"
-        )
+        text = f"{_rate_text(series, drift)}: tolerance {tolerance:g} {series.unit} reached in {in_nights} nights"
         yield TrendAlarm(series.name, AlarmKind.TREND, text, reach.expected)
+
+
+def _rate_text(series: Series, drift: Drift) -> str:
+    rate, doubt = f"{abs(drift.slope):.2f}", f"{drift.factor * drift.slope_sigma:.2f}"
+    if drift.slope * drift.level > 0.0:
+        return f"{series.title} grows by {rate} ± {doubt} {series.unit} per night"
+    return f"{series.title} changes by {rate} ± {doubt} {series.unit} per night"
+
+
+def _forecast_text(rate: str, trend: Trend, forecast: LimitForecast) -> str:
+    """Return `rate`, the drift in words, and when the tolerance is reached, with the range of dates and the probability
+    within the nights of a warning."""
+    low, middle, high = (
+        "later" if date is None else f"{date:%Y-%m-%d}"
+        for date in (trend.date_reached(probability) for probability in (LOW, 0.5, HIGH))
+    )
+    tolerance = f"{forecast.limit:g} {trend.series.unit}"
+    share, nights = f"{100.0 * forecast.within(trend.warn_nights):.0f}", f"{trend.warn_nights:g}"
+    return (
+        f"{rate}: tolerance {tolerance} will be reached about {middle} (5 to 95 %: {low} to {high}), {share} % within "
+        f"{nights} nights"
+    )
 
 
 def _control_alarm(series: Series, chart: IndividualsChart | None, smoothed: EwmaChart | None) -> Iterable[TrendAlarm]:

@@ -20,6 +20,8 @@ class HistorySettings(StrictModel):
     - `credentials_file` is a file that contains the password on one line.
     - `machine` is the name of this machine in the history; by default it is the name of the machine file without its
       extension.
+    - `ve_bare_tolerance_um` is the tolerance of the VE without a table, in µm: mechanical work on the machine
+      is due when it is reached.
     - `ve_tolerance_um` is the tolerance of the volumetric error (VE) with the active compensation table, in µm.
     - `held_out_tolerance_um` is the tolerance of the rms error of held-out balls, in µm.
     - `parameter_tolerances` maps a geometric error (such as EXX) or a coefficient of its Legendre series (such as
@@ -28,7 +30,8 @@ class HistorySettings(StrictModel):
     - `compact`: finished runs are compacted, except the latest `whole_runs` runs and those that ended less than
       `whole_days` ago. The others can still be read.
 
-    A trend alarm is given if a trend is expected to leave its tolerance within `warn_nights` nights.
+    A trend alarm is given if a value will leave its tolerance within `warn_nights` nights with a probability of
+    at least `warn_probability`.
     """
 
     url: str | None = None
@@ -36,6 +39,8 @@ class HistorySettings(StrictModel):
     machine: str | None = Field(default=None, min_length=1, max_length=100)
     timeout_s: PositiveFloat = Field(default=5.0, le=60.0)
     warn_nights: PositiveInt = Field(default=14, le=365)
+    warn_probability: float = Field(default=0.5, ge=0.1, le=0.99)
+    ve_bare_tolerance_um: PositiveFloat | None = None
     ve_tolerance_um: PositiveFloat | None = None
     held_out_tolerance_um: PositiveFloat | None = None
     parameter_tolerances: dict[Error, PositiveFloat] = Field(default={})

@@ -126,6 +126,7 @@ SETTINGS_RANGES: Mapping[str, PlausibleRange] = {
     "service.idle_read_period_s": PlausibleRange(0.0, 3600.0),
     "history.timeout_s": PlausibleRange(0.1, 60.0),
     "opcua.calibration_interval_days": PlausibleRange(1.0, 730.0),
+    "history.ve_bare_tolerance_um": PlausibleRange(0.1, 2000.0),
     "history.ve_tolerance_um": PlausibleRange(0.1, 2000.0),
     "history.held_out_tolerance_um": PlausibleRange(0.1, 2000.0),
     "history.whole_days": PlausibleRange(0.5, 3650.0),

@@ -4,11 +4,13 @@ or the parameters of one geometric error."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from threading import Lock
 from typing import Any
 
 from agent.execution.states import RunState
 from agent.history.cached_trends import CachedTrends, MachineTrends
+from agent.history.helpful_actions import HelpfulAction, alarms_json, helpful_actions
 from agent.history.kept_documents import KeptDocuments
 from agent.history.overview import VOLUMETRIC, alarms_of
 from agent.history.schema import StoredRun
@@ -52,7 +54,7 @@ class TrendCache:
                 current = self._trends.current(settings)
                 if current.key != self._key:  # another run has been stored in between
                     self._key, self._documents = current.key, {}
-                document = _document(current, name)
+                document = _document(current, name, settings.state_directory)
                 if name != _OVERVIEW and not document["trends"]:
                     return document  # anything can be asked for
                 self._documents[name] = document
@@ -60,11 +62,12 @@ class TrendCache:
             return self._documents[name]
 
 
-def _document(current: MachineTrends, name: str) -> Document:
+def _document(current: MachineTrends, name: str, state_directory: Path) -> Document:
     trends = [trend for trend in current.trends if _is_selected(trend.series, name)]
+    actions = helpful_actions(trends, current.runs, state_directory)
     return {
-        "trends": [_trend(trend) for trend in trends],
-        "alarms": [{"series": a.series, "kind": a.kind.value, "text": a.text} for a in alarms_of(trends)],
+        "trends": [_trend(trend, actions.get(trend.series.name)) for trend in trends],
+        "alarms": alarms_json(alarms_of(trends), actions),
         "marks": _marks(current.runs),
         "runs": {run.run_id: {"started": _utc(run), "kind": run.kind, "state": run.state} for run in current.runs},
     }
@@ -94,13 +97,15 @@ def _is_selected(series: Series, name: str) -> bool:
     return series.name.startswith(f"{name}[")
 
 
-def _trend(trend: Trend) -> Document:
-    """Return the trend with the values of the fitted line and the half width of its band."""
+def _trend(trend: Trend, action: HelpfulAction | None) -> Document:
+    """Return the trend with the values of the fitted line, the half width of its band, and what helps most against
+    it."""
     drift = trend.drift
     nights = trend.series.nights
     half = None if drift is None else (drift.factor * drift.line_sigma(nights - nights[-1])).tolist()
     return {
         **trend.as_json(),
+        "action": None if action is None else action.as_json(),
         "volumetric": trend.series.name in VOLUMETRIC,
         "two_sided": trend.series.two_sided,
         "fitted": None if drift is None else drift.fitted.tolist(),

@@ -1,5 +1,5 @@
-/* Chart of one series over the nights: values with uncertainty, fit with band, steps, control limits, tolerance, and
-   marks of the runs that changed the compensation or found the machine changed. A span of time is chosen by a button or
+/* Chart of one series over the nights: values with uncertainty, fit with band, steps, control limits, tolerance, what is
+   expected of the next nights with the dates at which the tolerance is reached, and marks of the runs that changed the compensation or found the machine changed. A span of time is chosen by a button or
    by dragging over a chart. */
 import { band, chart, fall, level, line, MANY, pathOf, points, reach } from "./chart.js";
 import { draw, make } from "./dom.js";
@@ -7,7 +7,7 @@ import { day, minute, number, say } from "./language.js";
 import { choice } from "./parts.js";
 import { told } from "./sentences.js";
 
-const COVERAGE = 2, SHORTEST_NIGHTS = 1, MS_PER_DAY = 86_400_000, DRAGGED_PX = 12, FEW_NIGHTS = 3;
+const COVERAGE = 2, SHORTEST_NIGHTS = 1, MS_PER_DAY = 86_400_000, DRAGGED_PX = 12, FEW_NIGHTS = 3, BEYOND = 1.1;
 const SPANS = ["all", "365", "90", "30"];
 const view = { span: "all", range: null };
 
@@ -20,7 +20,7 @@ export function trendFigure(trend, title, marks = [], zoomed = () => {}) {
   if (!nights.length) return make("figure", { className: "trend" }, make("figcaption", {}, title, ": ", say("trend.nothing")));
   const doubts = shown.standard_uncertainties?.map((sigma) => COVERAGE * sigma) ?? null;
   const all = [...values.flatMap((value, i) => [value - (doubts?.[i] ?? 0), value + (doubts?.[i] ?? 0)]), ...(tolerance === null ? [] : [tolerance, ...(trend.two_sided ? [-tolerance] : [])]), ...(limits ? [limits[0], limits[2]] : [])];
-  const x = view.range ?? reach(nights, { margin: 0.06 }), y = reach(all, { zero: !trend.two_sided });
+  const ahead = aheadOf(trend), x = view.range ?? reach([...nights, ...(ahead?.nights ?? [])], { margin: 0.06 }), y = reach(all, { zero: !trend.two_sided });
   if (!trend.two_sided) y[0] = Math.max(y[0], 0);
   const inside = ({ night }) => night >= x[0] && night <= x[1];
   const name = x[1] - x[0] < FEW_NIGHTS ? minute : day;
@@ -29,12 +29,34 @@ export function trendFigure(trend, title, marks = [], zoomed = () => {}) {
     ...(fitted && half && hasSlope(trend) ? levelByLevel(shown) : []),
     ...(limits ? [limits[0], limits[2]].map((limit) => level(limit, [Math.min(Math.max(lastStep(trend), x[0]), x[1]), x[1]], "control")) : []),
     ...(tolerance === null ? [] : [level(tolerance, x, "tolerance"), ...(trend.two_sided ? [level(-tolerance, x, "tolerance")] : [])]),
+    ...(ahead ? forecastDraws(trend, ahead, x, y) : []),
     ...steps.filter(inside).map(({ night }) => fall(night, y, "step")),
     ...marks.filter(inside).map((mark, _, those) => tick(mark, y, those.length > MANY)),
   ];
   const svg = chart({ title, xLabel: "", yLabel: unit, x, y, draws, height: 190, ticksX: 4, nameX: (night) => name(dateOf(trend, night)) });
   listen(svg, x, zoomed);
-  return make("figure", { className: "trend" }, svg, make("figcaption", {}, drifting(trend)));
+  const help = trend.action ? [make("figcaption", { className: "help" }, told(trend.action.text))] : [];
+  return make("figure", { className: "trend" }, svg, make("figcaption", {}, drifting(trend)), ...help);
+}
+
+/* The next nights until a little after the last date that is marked; null if no date is expected. */
+function aheadOf({ nights, forecast }) {
+  const [, expected, latest] = forecast?.nights_to ?? [];
+  if (expected === null || expected === undefined) return null;
+  const { course } = forecast, end = Math.min(forecast.horizon_nights, BEYOND * (latest ?? forecast.horizon_nights));
+  const those = course.nights.map((_, i) => i).filter((i) => course.nights[i] <= end), of = (list) => those.map((i) => list[i]);
+  return { nights: of(course.nights).map((night) => nights.at(-1) + night), low: of(course.low), middle: of(course.middle), high: of(course.high) };
+}
+
+/* Expected value with its band from 5 % to 95 %, and on the tolerance the dates with 5 %, 50 % and 95 %. */
+function forecastDraws({ nights: measured, started, forecast, tolerance, two_sided }, { nights, low, middle, high }, x, y) {
+  const those = nights.map((_, i) => i).filter((i) => nights[i] >= x[0] && nights[i] <= x[1]), of = (list) => those.map((i) => Math.min(Math.max(list[i], y[0]), y[1]));
+  if (!those.length) return [];
+  const last = measured.at(-1), side = two_sided && middle.at(-1) < 0 ? -tolerance : tolerance, shown = those.map((i) => nights[i]);
+  const seen = those.filter((i) => middle[i] >= y[0] && middle[i] <= y[1]);
+  const marks = forecast.nights_to.map((ahead, i) => ({ at: last + ahead, half: i === 1 ? 9 : 5, known: ahead !== null })).filter(({ at, known }) => known && at >= x[0] && at <= x[1]);
+  return [band(shown, of(low), of(high), "forecast"), line(seen.map((i) => nights[i]), seen.map((i) => middle[i]), "forecast"),
+    ...marks.map(({ at, half }) => (scales) => [draw("line", { x1: scales.x(at), x2: scales.x(at), y1: scales.y(side) - half, y2: scales.y(side) + half, class: "due" }, draw("title", {}, day(dateOf({ nights: measured, started }, at))))])];
 }
 
 /* Rates of many nights are small: as many decimals as their uncertainty needs. */
@@ -110,13 +132,22 @@ function levelByLevel({ nights, fitted, fitted_half_width: half, steps }) {
 }
 
 export function drifting(trend) {
-  const { values, unit, drift_a_night: drift, drift_standard_uncertainty: sigma, nights_left } = trend;
+  const { values, unit, drift_a_night: drift, drift_standard_uncertainty: sigma } = trend;
   const now = say("trend.now", { value: number(values.at(-1), 2), unit }), digits = rateDigits(COVERAGE * sigma);
   if (drift === null || !longEnough(trend)) return `${now} · ${say("trend.too_few")}`;
-  if (!hasSlope(trend)) return `${now} · ${say("trend.no_drift", { doubt: number(COVERAGE * sigma, digits), unit })}`;
+  const left = leftOf(trend);
+  if (!hasSlope(trend)) return `${now} · ${say("trend.no_drift", { doubt: number(COVERAGE * sigma, digits), unit })}${left}`;
   const rate = say("trend.drift", { drift: number(drift, digits), doubt: number(COVERAGE * sigma, digits), unit });
-  const left = nights_left === null ? "" : ` · ${say("trend.left", { nights: number(nights_left, 0) })}`;
   return `${now} · ${rate}${left}`;
+}
+
+/* When the tolerance is reached: the date with its range and the probability, or the nights left if there are too few values for that. */
+function leftOf(trend) {
+  const { forecast, nights, nights_left } = trend;
+  if (!forecast) return nights_left === null || !hasSlope(trend) ? "" : ` · ${say("trend.left", { nights: number(nights_left, 0) })}`;
+  const [low, middle, high] = forecast.nights_to.map((ahead) => (ahead === null ? say("trend.later") : day(dateOf(trend, nights.at(-1) + ahead))));
+  const soon = say("trend.soon", { share: number(100 * forecast.probability, 0), nights: number(forecast.warn_nights, 0) });
+  return ` · ${forecast.nights_to[1] === null ? "" : `${say("trend.due", { middle, low, high })}, `}${soon}`;
 }
 
 /* Drift per night with its uncertainty, or that there is none. */
@@ -128,12 +159,12 @@ export function rateOf(trend) {
 
 /* Key of the lines, and of the `marks` that occur. */
 export function keyOfLines(marks = []) {
-  const kinds = ["value", "fit", "control", "tolerance", "step"];
+  const kinds = ["value", "fit", "forecast", "control", "tolerance", "due", "step"];
   const occurring = [...new Set(marks.map(({ kind }) => kind))];
   return make("p", { className: "remark lines" }, ...kinds.map((kind) => make("span", { className: kind }, say(`trend.line_${kind}`))),
     ...occurring.map((kind) => make("span", { className: `event ${kind}` }, say(`trend.mark_${kind}`))));
 }
 
 export function alarmList(alarms) {
-  return alarms.length ? [make("ul", { className: "trend-alarms" }, ...alarms.map(({ kind, text }) => make("li", {}, make("b", {}, say(`trend.alarm_${kind}`)), " ", told(text))))] : [];
+  return alarms.length ? [make("ul", { className: "trend-alarms" }, ...alarms.map(({ kind, text, hint }) => make("li", {}, make("b", {}, say(`trend.alarm_${kind}`)), " ", told(text), ...(hint ? [make("br"), told(hint)] : []))))] : [];
 }

@@ -1,0 +1,1 @@
+"""Seasons of machines that wear, made without the code of the program, and forecasts judged on them."""
