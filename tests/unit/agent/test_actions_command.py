@@ -123,13 +123,14 @@ TWISTED = MechanicalAction(ActionKind.LEVEL, "X", "X", 2e-6, 1e-6, 4000.0, 0.0, 
         (
             f"What helps most: {action_text(TWISTED)} (VE without table 5.2 to 4.9 µm)",
             "Am meisten hilft: Führung von X nivellieren: um +X drehen, um -1,0 µm/m bei X = 0 mm und +1,0 µm/m bei "
-            "4000 mm; diese Füße des Betts anheben: left front: 3 µm, right rear: 4 µm (VE ohne Tabelle von 5,2 auf 4,9 µm)",
+            "4000 mm; diese Füße des Betts anheben: left front: 3 µm, right rear: 4 µm (VE ohne Tabelle von 5,2 auf "
+            "4,9 µm)",
         ),
         (
             unknown_guides_text(("X", "Z")),
             "Beilagen unter den Führungen von X, Z werden nicht vorgeschlagen: Eine Beilage kippt auch den Schlitten. "
-            "Den Abstand seiner Führungswagen in der Maschinendatei angeben (axes.X.guide) und diese Datei mit --machine "
-            "nennen.",
+            "Den Abstand seiner Führungswagen in der Maschinendatei angeben (axes.X.guide) und diese Datei mit "
+            "--machine nennen.",
         ),
     ],
 )
