@@ -195,9 +195,10 @@ def identify_files(request: IdentificationRequest, timestamp: str) -> Identifica
 
     The files written are estimate.json, report.html if `request.with_report` is True, and table.csv and table.json if
     every gate passed or `request.even_so` is True. If the artefact was calibrated, its artefact file and covariance are
-    written as well. Files of these that an earlier identification wrote and this one does not are deleted, because they
-    do not belong to the new estimate (see `replaced_results`). `timestamp` is the UTC time of the results in ISO 8601.
-    Raises UserError if the input is wrong; in this case, no file is written.
+    written as well. If this identification writes no table, a table in the folder is deleted; so are the other files
+    of these that an earlier identification wrote (see `replaced_results`), because they do not belong to the new
+    estimate. `timestamp` is the UTC time of the results in ISO 8601. Raises UserError if the input is wrong; in this
+    case, no file is written.
     """
     check_folder(request.out)
     material = read_material(request)
@@ -215,9 +216,10 @@ def identify_files(request: IdentificationRequest, timestamp: str) -> Identifica
         even_so=request.even_so,
     )
     texts = _texts(result, request)
-    absent = [name for name in (REPORT_FILE, *TABLE_FILES, *CALIBRATION_FILES) if name not in texts]
     inputs = (request.balls, request.machine, request.artefact)
-    write_all_atomically(request.out, texts, replaced_results(request.out, absent, inputs))
+    # Whoever wrote a table: beside an estimate that permits none, it would be taken for the table of this estimate.
+    former = (*TABLE_FILES, *replaced_results(request.out, (REPORT_FILE, *CALIBRATION_FILES), inputs))
+    write_all_atomically(request.out, texts, (name for name in former if name not in texts))
     return result
 
 
