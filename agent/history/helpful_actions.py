@@ -21,6 +21,8 @@ _ERROR = re.compile(r"(?P<error>E[XYZABC][XYZ]|[ABC]0[XYZ])(\[(?P<order>\d+)\])?
 _SQUARE_AXES = {"A": {"Y", "Z"}, "B": {"X", "Z"}, "C": {"X", "Y"}}
 """Axes that a squareness error about A, B or C turns towards each other."""
 _ROLLS = {"EAX", "EBY", "ECZ"}
+_HIGHEST_OF_SHIMS = 4
+"""Highest order of a Legendre series that shims at both ends of a guide and at three places between them change much."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,8 @@ def changes_error(action: Mapping[str, Any], name: str) -> bool:
     coefficient `name`.
 
     A scale changes the linear error of its axis (EXX, and its slope EXX[1]), a turned guide the squareness of its two
-    axes, a shimmed guide its straightness, and a levelled guide its roll.
+    axes. A shimmed guide changes its straightness and the angle by which the carriage tilts, up to the orders that a
+    rail with three shims between its ends shows. A levelled guide changes its roll, by a straight line.
     """
     found = _ERROR.fullmatch(name)
     if found is None:
@@ -127,5 +130,8 @@ def changes_error(action: Mapping[str, Any], name: str) -> bool:
     if kind == "squareness":
         return error[1] == "0" and {axis, towards} == _SQUARE_AXES[error[0]]
     if kind == "straightness":
-        return error == f"E{towards}{axis}"
-    return kind == "level" and error in _ROLLS and error[2] == axis
+        # by the cross product of the axis and the direction of the shims, the third axis
+        tilt = "ABC"["XYZ".index(({"X", "Y", "Z"} - {axis, towards}).pop())]
+        lowest = {f"E{towards}{axis}": 2, f"E{tilt}{axis}": 1}.get(error)
+        return lowest is not None and (order is None or lowest <= int(order) <= _HIGHEST_OF_SHIMS)
+    return kind == "level" and error in _ROLLS and error[2] == axis and order in (None, "1")

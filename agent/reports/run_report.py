@@ -48,6 +48,7 @@ from agent.results.homing_scatter import HomingScatter, after_homing_text
 from agent.results.run_outcome import Decision
 from agent.results.run_requester import BY, requester_of
 from agent.results.run_verdict import RunVerdict, run_figures, verdict_of
+from agent.results.stored_gates import gate_records
 from agent.results.travel_parts import TravelParts
 from agent.settings.report import ReportSettings
 from agent.settings.schema import TableSettings
@@ -208,8 +209,8 @@ def _stored(record: RunRecord) -> StoredEstimate:
 
 def _gates(record: RunRecord) -> tuple[Gate, ...]:
     """Return each gate with its last verdict, in the order in which the gates were first evaluated."""
-    gates = {note.record["name"]: Gate(**note.record) for note in record.decisions if note.kind == "gate"}
-    return tuple(gates.values())
+    records = gate_records((note.record for note in record.decisions if note.kind == "gate"), record.settings)
+    return tuple({one["name"]: Gate(**one) for one in records}.values())
 
 
 def _facts(record: RunRecord, inputs: Mapping[str, Any], trend: str) -> RunFacts:

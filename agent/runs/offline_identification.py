@@ -39,6 +39,7 @@ from agent.results.gates import (
 from agent.results.night_changes import drift_text
 from agent.results.night_gate import night_document, night_gate, night_text
 from agent.results.table_replacement import ExpectedGain
+from agent.runs.replaced_results import ESTIMATE_FILE, IDENTIFY, replaced_results
 from agent.settings.schema import GateSettings, Order, TableSettings, VerificationSettings
 from agent.thermal.thermometer import ThermometerStatement
 from drivers.errors import ConfigurationError, InputError
@@ -194,16 +195,17 @@ def identify_files(request: IdentificationRequest, timestamp: str) -> Identifica
 
     The files written are estimate.json, report.html if `request.with_report` is True, and table.csv and table.json if
     every gate passed or `request.even_so` is True. If the artefact was calibrated, its artefact file and covariance are
-    written as well. Files of these that an earlier identification wrote and this one does not are deleted, because they
-    do not belong to the new estimate. `timestamp` is the UTC time of the results in ISO 8601. Raises UserError if the
-    input is wrong; in this case, no file is written.
+    written as well. If this identification writes no table, a table in the folder is deleted; so are the other files
+    of these that an earlier identification wrote (see `replaced_results`), because they do not belong to the new
+    estimate. `timestamp` is the UTC time of the results in ISO 8601. Raises UserError if the input is wrong; in this
+    case, no file is written.
     """
     check_folder(request.out)
     material = read_material(request)
     with translated(file=str(request.balls)):
         estimation, gates = _gated(material, request)
     result = IdentificationResult(
-        run_id=f"identify-{timestamp[:19].replace('-', '').replace(':', '')}Z",
+        run_id=f"{IDENTIFY}{timestamp[:19].replace('-', '').replace(':', '')}Z",
         timestamp=timestamp,
         position_set=name_of_positions(material.balls.positions),
         material=material,
@@ -214,8 +216,10 @@ def identify_files(request: IdentificationRequest, timestamp: str) -> Identifica
         even_so=request.even_so,
     )
     texts = _texts(result, request)
-    stale = (name for name in (REPORT_FILE, *TABLE_FILES, *CALIBRATION_FILES) if name not in texts)
-    write_all_atomically(request.out, texts, stale)
+    inputs = (request.balls, request.machine, request.artefact)
+    # Whoever wrote a table: beside an estimate that permits none, it would be taken for the table of this estimate.
+    former = (*TABLE_FILES, *replaced_results(request.out, (REPORT_FILE, *CALIBRATION_FILES), inputs))
+    write_all_atomically(request.out, texts, (name for name in former if name not in texts))
     return result
 
 
@@ -370,7 +374,7 @@ def _texts(result: IdentificationResult, request: IdentificationRequest) -> dict
     estimate = result.estimation.estimate
     numbered = replace(estimate, rejected=result.material.balls.as_numbered(estimate.rejected))
     texts = {
-        "estimate.json": estimate_text(replace(result.estimation, estimate=numbered), _provenance(result, request)),
+        ESTIMATE_FILE: estimate_text(replace(result.estimation, estimate=numbered), _provenance(result, request)),
     }
     if request.with_report:
         from agent.reports.page.render import render_report  # noqa: PLC0415  refused input does not wait for matplotlib

@@ -202,6 +202,12 @@ COVERAGE_FACTOR = 2.0
 """Coverage factor of the expanded uncertainties in which limits are stated."""
 
 
+class _EarlierGateSettings(StrictModel):
+    """Limit of the certificate in standard deviations, as settings of earlier versions state it."""
+
+    max_certificate_sigma: float = Field(gt=0.0, strict=True)
+
+
 class GateSettings(StrictModel):
     """Limits of the gates, which an estimate must pass before it is applied to a machine. A limit is in µm if its key
     says so.
@@ -231,11 +237,12 @@ class GateSettings(StrictModel):
         """Accept settings of earlier versions, which state the limit of the certificate in standard deviations."""
         if not isinstance(given, dict) or EARLIER_CERTIFICATE_KEY not in given:
             return given
-        sigmas = given[EARLIER_CERTIFICATE_KEY]
-        if "max_certificate_en" in given or isinstance(sigmas, bool) or not isinstance(sigmas, int | float):
+        if "max_certificate_en" in given:
             return given
+        # an error names the key that was written
+        sigmas = _EarlierGateSettings.model_validate({EARLIER_CERTIFICATE_KEY: given[EARLIER_CERTIFICATE_KEY]})
         kept = {name: value for name, value in given.items() if name != EARLIER_CERTIFICATE_KEY}
-        return kept | {"max_certificate_en": sigmas / COVERAGE_FACTOR}
+        return kept | {"max_certificate_en": sigmas.max_certificate_sigma / COVERAGE_FACTOR}
 
 
 class VerificationSettings(StrictModel):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,10 +13,18 @@ from agent.execution.journal_rows import DecisionRow
 from drivers.errors import InputError
 from twin.machine.kinematic_chain import AXES
 from twin.units import UM_PER_MM
-from twin.workpiece.positioning import TITLES, AxisRepeats
+from twin.workpiece.positioning import FEWEST_FREEDOM, TITLES, AxisRepeats
 
 _REVERSAL, _REPEATABILITY = "/reversal/reversal", "/repeatability"
 """Ends of the names of the two decisions of a run."""
+
+_WHY: Mapping[tuple[bool, bool], str] = {
+    (True, False): "its lost motion (settings `[reversal]`)",
+    (False, True): "how well touches repeat (4 touches or more, settings `[probe_check]`)",
+    (True, True): "its lost motion (settings `[reversal]`) and how well touches repeat (4 touches or more, settings "
+    "`[probe_check]`)",
+}
+"""What was not measured, by whether the lost motion and the repeatability are missing."""
 
 
 @dataclass(frozen=True)
@@ -72,11 +81,10 @@ def _axis_repeats(
 ) -> AxisRepeats:
     lost_um, sigma_um = reversal.get("lost_um"), reversal.get("sigma_um")
     scatter_um, freedom = reversal.get("scatter_um"), reversal.get("freedom", 0)
-    if scatter_um is None and repeatability is not None:
-        # touches of a pole: those of the axis along the stylus stand for all axes
-        scatter_um, freedom = 0.5 * repeatability["two_sigma_um"], repeatability["touches"] - 1
+    if scatter_um is None or freedom < FEWEST_FREEDOM:
+        scatter_um, freedom = _pooled(0.0 if scatter_um is None else scatter_um, freedom, repeatability)
     return AxisRepeats(
-        scatter_mm=None if scatter_um is None else scatter_um / UM_PER_MM,
+        scatter_mm=scatter_um / UM_PER_MM if freedom >= FEWEST_FREEDOM else None,
         freedom=freedom,
         lost_mm=None if lost_um is None else lost_um / UM_PER_MM,
         lost_sigma_mm=0.0 if sigma_um is None else sigma_um / UM_PER_MM,
@@ -84,17 +92,19 @@ def _axis_repeats(
     )
 
 
+def _pooled(scatter_um: float, freedom: int, repeatability: Mapping[str, Any] | None) -> tuple[float, int]:
+    """Return the scatter in µm of the touches of an axis and of those of a pole together, with its degrees of freedom.
+    The touches of a pole, along the stylus, stand for all axes."""
+    if repeatability is None or repeatability["touches"] < 2:
+        return scatter_um, freedom
+    of_pole_um, of_pole = 0.5 * repeatability["two_sigma_um"], repeatability["touches"] - 1
+    both = freedom + of_pole
+    return math.sqrt((freedom * scatter_um**2 + of_pole * of_pole_um**2) / both), both
+
+
 def _missing(axis: str, found: AxisRepeats) -> str:
     """Return which figures of an axis cannot be stated and why; empty if all can be."""
     missing = ", ".join(f"{name} {axis}" for name in TITLES if name not in found.figures)
     if not missing:
         return ""
-    why = [
-        text
-        for text, absent in (
-            ("its lost motion (settings `[reversal]`)", found.lost_mm is None),
-            ("how well touches repeat (settings `[probe_check]`)", found.scatter_mm is None),
-        )
-        if absent
-    ]
-    return f"not measured: {missing}: the run did not measure {' and '.join(why)}"
+    return f"not measured: {missing}: the run did not measure {_WHY[found.lost_mm is None, found.scatter_mm is None]}"

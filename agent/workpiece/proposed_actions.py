@@ -11,6 +11,7 @@ from agent.model_files import load_machine
 from agent.workpiece.estimate_and_table import read_estimate_and_table
 from drivers.errors import InputError
 from twin.machine.error_model import ErrorModel
+from twin.machine.kinematic_chain import AXES
 from twin.machine.mounting import Mounting
 from twin.units import UM_PER_MM
 from twin.workpiece.action_fields import ActionKind, MechanicalAction
@@ -21,22 +22,18 @@ UM_PER_M = 1e6
 AT_THIS_TEMPERATURE = (
     "A scale is that of the machine's temperature during the measurement: a steel scale changes by about 11 µm/m per K."
 )
-GUIDES_UNKNOWN = (
-    "Shims of a rail are not proposed: a shim also tilts the carriage. State the distance of its shoes in the machine "
-    "file (axes.X.guide), and name this file with --machine."
-)
 _DIGITS = 3
-_LEAST_HEIGHT_MM = 5e-5
+_LEAST_HEIGHT_MM = 5e-4  # a smaller one would be stated as 0
 
 
 @dataclass(frozen=True)
 class ProposedActions:
-    """Plan of actions on the machine of the file `estimate`. `knows_guides` is False if no guide of the machine was
+    """Plan of actions on the machine of the file `estimate`. `unknown_guides` are the axes whose guides were not
     stated."""
 
     estimate: Path
     plan: ActionPlan
-    knows_guides: bool
+    unknown_guides: tuple[str, ...]
 
     def as_json(self) -> dict[str, Any]:
         """Return the plan as a JSON object, with volumetric errors in µm and amounts in µm/m."""
@@ -72,16 +69,23 @@ def propose_actions(
     mounting = Mounting() if machine is None else _mounting(machine, known.estimate.model)
     with translated(file=str(estimate)):
         plan = plan_actions(known.estimate, known.tool_offset_mm, most, mounting)
-    return ProposedActions(estimate, plan, bool(mounting.guides))
+    return ProposedActions(estimate, plan, tuple(axis for axis in AXES if axis not in mounting.guides))
+
+
+def unknown_guides_text(axes: tuple[str, ...]) -> str:
+    """Return which rails are not straightened because nothing is known about their guides; empty if none."""
+    if not axes:
+        return ""
+    return (
+        f"Shims under the rails of {', '.join(axes)} are not proposed: a shim also tilts the carriage. State the "
+        f"distance of its shoes in the machine file (axes.{axes[0]}.guide), and name this file with --machine."
+    )
 
 
 def action_text(action: MechanicalAction) -> str:
     """Return what to do at the machine, in words."""
     if action.kind is ActionKind.STRAIGHTNESS:
-        shims = ", ".join(
-            f"{UM_PER_MM * shim.amount_mm:+.1f} µm at {action.axis} = {shim.at_mm:.0f} mm" for shim in action.shims
-        )
-        return f"straighten the guide of {action.axis}: shim it towards +{action.towards} by {shims}"
+        return _shims_text(action)
     if action.kind is ActionKind.LEVEL:
         return _level_text(action)
     over = f"{UM_PER_MM * abs(action.over_travel_mm):.1f} µm"
@@ -98,10 +102,19 @@ def action_text(action: MechanicalAction) -> str:
 def amount_texts(action: MechanicalAction) -> tuple[str, str]:
     """Return the amounts of an action and their expanded uncertainties (k = 2), with their unit."""
     if action.kind is ActionKind.STRAIGHTNESS:
-        amounts = ", ".join(f"{UM_PER_MM * shim.amount_mm:+.1f}" for shim in action.shims)
+        amounts = ", ".join(f"{UM_PER_MM * shim.amount_mm:.1f}" for shim in action.shims)
         bounds = ", ".join(f"{UM_PER_MM * shim.expanded_mm:.1f}" for shim in action.shims)
         return f"{amounts} µm", f"± {bounds} µm"
     return f"{UM_PER_M * action.amount:+.1f} µm/m", f"± {UM_PER_M * action.expanded:.1f} µm/m"
+
+
+def _shims_text(action: MechanicalAction) -> str:
+    """Return where a guide is to be shimmed by how much."""
+    first, *between, last = (f"{UM_PER_MM * shim.amount_mm:.1f} µm" for shim in action.shims)
+    # Values alone, so that the list is the same in each language.
+    places = (f" ({action.axis} = {shim.at_mm:.0f} mm)" for shim in action.shims[1:-1])
+    shims = ", ".join([first, *map("".join, zip(between, places, strict=True)), last])
+    return f"straighten the guide of {action.axis} with shims towards +{action.towards}, from end to end: {shims}"
 
 
 def _level_text(action: MechanicalAction) -> str:
@@ -114,7 +127,8 @@ def _level_text(action: MechanicalAction) -> str:
     raised = [foot for foot in action.feet if foot.height_mm > _LEAST_HEIGHT_MM]
     if not raised:
         return roll
-    return f"{roll}; raise {', '.join(f'foot {foot.name} by {UM_PER_MM * foot.height_mm:.0f} µm' for foot in raised)}"
+    feet = ", ".join(f"{foot.name}: {UM_PER_MM * foot.height_mm:.0f} µm" for foot in raised)
+    return f"{roll}; raise these feet of the bed: {feet}"
 
 
 def _amounts(action: MechanicalAction) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from campaigns.foreign.artefact import measure_at, tilted_bar
 from campaigns.foreign.machine import TOOL, DrawnMachine, aligned_rms_um, grid
 from campaigns.foreign.score import family_of
 from campaigns.foreign.trials import GENERATORS, places_of
-from twin.errors import DataError
+from twin.errors import DataError, ModelError
 from twin.identification import Estimate, identify_by_evidence
 from twin.machine.error_model import ErrorModel, Ranges
 from twin.machine.forward_model import exact_deviation
@@ -120,8 +120,10 @@ def carriage_on(
         return np.zeros((len(at), 3)), Rotation.from_rotvec(roll[:, None] * along)
     if action.kind is not ActionKind.STRAIGHTNESS:
         return np.zeros((len(at), 3)), Rotation.identity(len(at))
-    places = [travel[0] - 0.5 * SHOES_MM, *(shim.at_mm for shim in action.shims), travel[1] + 0.5 * SHOES_MM]
-    rail = make_interp_spline(places, [0.0, *(shim.amount_mm for shim in action.shims), 0.0], k=3, bc_type="natural")
+    places, shims = [shim.at_mm for shim in action.shims], [shim.amount_mm for shim in action.shims]
+    assert (places[0], places[-1]) == (travel[0] - 0.5 * SHOES_MM, travel[1] + 0.5 * SHOES_MM)
+    assert min(shims) == 0.0
+    rail = make_interp_spline(places, shims, k=3, bc_type="natural")
     first, last = rail(at - 0.5 * SHOES_MM), rail(at + 0.5 * SHOES_MM)
     across = np.eye(3)["XYZ".index(action.towards)]
     tilt = sign * np.arctan2(last - first, SHOES_MM)
@@ -217,10 +219,36 @@ def test_a_rail_that_is_high_in_the_middle_is_lowered_there() -> None:
     plan = plan_actions(KnownMachine(bent, parameters), np.zeros(3), mounting=mounting)
     first = plan.actions[0]
     assert (first.kind, first.axis, first.towards) == (ActionKind.STRAIGHTNESS, "X", "Z")
-    assert [shim.at_mm for shim in first.shims] == [200.0, 450.0, 700.0]
-    assert first.shims[1].amount_mm < min(first.shims[0].amount_mm, first.shims[2].amount_mm) < 0.0
+    assert [shim.at_mm for shim in first.shims] == [-50.0, 200.0, 450.0, 700.0, 950.0]
+    ends, lower, middle, upper, others = (shim.amount_mm for shim in first.shims)
+    # a shim cannot be negative: the ends are raised instead
+    assert ends == others > max(lower, upper) >= min(lower, upper) > middle == 0.0
+    assert first.amount == pytest.approx(-ends)
     assert plan.states[1].expected_mm < 0.25 * plan.states[0].expected_mm
-    assert "straighten the guide of X" in action_text(first)
+    assert action_text(first).startswith(
+        f"straighten the guide of X with shims towards +Z, from end to end: {1e3 * ends:.1f} µm, {1e3 * lower:.1f} µm "
+        "(X = 200 mm), 0.0 µm (X = 450 mm)"
+    )
+    assert "-" not in action_text(first)
+
+
+def test_a_rail_that_would_need_shims_of_a_millimetre_is_not_straightened() -> None:
+    bent = ErrorModel.uniform(CHAIN, ((0.0, 900.0), (0.0, 600.0), (0.0, 400.0)), 2, ())
+    parameters = np.zeros(bent.size)
+    parameters[bent.index("EZX[2]")], parameters[bent.index("EBX[1]")] = -1.0 / 1.5, 3.0 / 1.5 / 450.0
+    plan = plan_actions(
+        KnownMachine(bent, parameters), np.zeros(3), mounting=Mounting({"X": Guide(100.0, (0.0, 0.0, 0.0))})
+    )
+    assert ActionKind.STRAIGHTNESS not in {one.kind for one in plan.actions}
+
+
+@pytest.mark.parametrize("shoes_mm", [901.0, 0.0, float("nan")])
+def test_shoes_longer_than_the_travel_are_refused(shoes_mm: float) -> None:
+    model = straight_model("tool-Y-Z-X-bed-workpiece")
+    mounting = Mounting({"X": Guide(shoes_mm, (0.0, 0.0, 0.0))})
+    with pytest.raises(ModelError, match="the shoes of X") as refused:
+        plan_actions(KnownMachine(model, np.zeros(model.size)), np.zeros(3), mounting=mounting)
+    assert refused.value.where["key"] == "axes.X.guide.shoes_mm"
 
 
 @pytest.mark.parametrize("chain", CHAINS)

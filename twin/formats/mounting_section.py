@@ -10,6 +10,7 @@ from twin.formats.toml_reading import StrictModel
 from twin.machine.mounting import Foot, Guide, Mounting, require_distinct_feet
 
 _LARGEST_MM = 1e5
+_SHORTEST_MM = 1.0
 Place = Annotated[float, Field(ge=-_LARGEST_MM, le=_LARGEST_MM)]
 FootName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _-]{0,23}$")]
 
@@ -17,7 +18,7 @@ FootName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _-]{0,23}$")]
 class GuideSection(StrictModel):
     """Section of a machine file for the guide of an axis, see `twin.machine.mounting.Guide`."""
 
-    shoes_mm: Annotated[float, Field(gt=0.0, le=_LARGEST_MM)]
+    shoes_mm: Annotated[float, Field(ge=_SHORTEST_MM, le=_LARGEST_MM)]
     centre_mm: tuple[Place, Place, Place]
 
     @property

@@ -12,7 +12,7 @@ from twin.machine.deflection import DeflectionGrid
 from twin.machine.error_model import ERROR_MOTIONS, ErrorModel, Ranges
 from twin.machine.kinematic_chain import AXES
 from twin.machine.machine_population import Family, family_from_amplitudes
-from twin.machine.mounting import Mounting
+from twin.machine.mounting import Mounting, require_shoes_within_travel
 from twin.machine.structure import DerivedTerm, StructuralBeam
 
 Triple = tuple[float, float, float]
@@ -53,6 +53,7 @@ class MachineDescription(Displayed):
             if not travel[0] <= low < high <= travel[1]:
                 message = f"range [{low:g}, {high:g}] exceeds the travel [{travel[0]:g}, {travel[1]:g}]"
                 raise ModelError(message, key=f"axes.{axis}.travel_mm")
+        require_shoes_within_travel(self.mounting, self.model.ranges_mm)
         if not self.tools:
             raise ModelError("the machine has no tool", hint="Define at least one, such as [tools.probe]")
         for name, offset in self.tools.items():

@@ -13,6 +13,8 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.errors import ModelError
+from twin.machine.error_model import Ranges
+from twin.machine.kinematic_chain import AXES
 
 FEWEST_FEET = 4
 _FLAT = 1e-6  # of the largest singular value: feet on one line or on two crossing lines show no twist
@@ -85,6 +87,22 @@ class Mounting:
         # the plane that fits best only tilts the bed as a whole
         heights = heights - plane @ np.linalg.lstsq(plane, heights, rcond=None)[0]
         return tuple((heights - heights.min()).tolist())
+
+
+def require_shoes_within_travel(mounting: Mounting, ranges_mm: Ranges) -> None:
+    """Raise ModelError if the shoes of a guide are farther apart than the travel of its axis, `ranges_mm`, is long.
+
+    The carriage would then not reach the places at which its rail can be shimmed, and no measurement would show them.
+    """
+    for axis, (low, high) in zip(AXES, ranges_mm, strict=True):
+        guide = mounting.guides.get(axis)
+        if guide is not None and not 0.0 < guide.shoes_mm <= high - low:
+            raise ModelError(
+                f"the shoes of {axis} are {guide.shoes_mm:g} mm apart, but {axis} travels {high - low:g} mm",
+                hint="State the distance along the axis from the first to the last shoe; leave the guide out if it is "
+                "longer than the travel",
+                key=f"axes.{axis}.guide.shoes_mm",
+            )
 
 
 def _twist_and_plane(places: Array) -> Array:

@@ -25,9 +25,12 @@ from twin.uncertainty.quadratic_distribution import QuadraticDistribution, root_
 from twin.uncertainty.scale_mixture import MixtureComponent, mixture_components
 
 _LEAST_SPREAD = 1e-9  # relative standard deviation below which rounding decides
-_LEAST_PROBABILITY = 1e-300  # smaller ones have no quantile
+_OUTERMOST = 1e-12
+"""Smallest probability that has a quantile, and smallest distance of one to 1: rounding hides what lies beyond."""
+_LEAST_PROBABILITY = 1e-300
 _ROUNDING = 1e-16
-_TOLERANCE = 1e-12  # of ln Q
+_MOST_STEPS = 60  # each is at least twice as long as the one before
+_TOLERANCE, _OF_SPREAD = 1e-12, 1e-6  # of ln Q, and as a share of its logarithmic deviation
 _BEYOND = 1.1  # step of the search for a quantile beyond where a log-normal distribution has it
 _SHORTEST = 1e-3  # step in standard deviations that is taken in any case
 
@@ -57,10 +60,12 @@ class QuadraticMixture:
     def quantile(self, probability: float) -> float:
         """Return the value that the quadratic form Q does not exceed with the given probability.
 
-        Raises DataError if `probability` is not between 0 and 1.
+        Raises DataError if `probability` is not between 10⁻¹² and 1 - 10⁻¹², or if no quantile is found.
         """
-        if not 0.0 < probability < 1.0:
-            raise DataError(f"the probability must lie between 0 and 1, not {probability}")
+        if not _OUTERMOST <= probability <= 1.0 - _OUTERMOST:
+            raise DataError(
+                f"the probability must lie between {_OUTERMOST:g} and 1 - {_OUTERMOST:g}, not {probability!r}"
+            )
         # With ln Q as argument, and with the quantile of the standard normal distribution at the probability as value,
         # the distribution is nearly a straight line, exactly one for a log-normal variable: with mean m and variance V
         # it has the logarithmic deviation √ln(1 + V/m²) and the median m exp(-½ spread²). The search begins at its
@@ -80,10 +85,14 @@ class QuadraticMixture:
         # Some more than the line says, so that the quantile lies between; the steps grow until it does.
         step = -spread * (_BEYOND * missed + math.copysign(_SHORTEST, missed))
         end = start + step
-        while missed_by(end) * missed > 0.0:
+        for _ in range(_MOST_STEPS):
+            if missed_by(end) * missed <= 0.0:
+                break
             start, step = end, 2.0 * step
             end = start + step
-        return math.exp(root_between(missed_by, min(start, end), max(start, end), _TOLERANCE))
+        else:
+            raise DataError(f"the distribution has no quantile at the probability {probability!r}")
+        return math.exp(root_between(missed_by, min(start, end), max(start, end), min(_TOLERANCE, _OF_SPREAD * spread)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,7 +29,7 @@ from twin.machine.kinematic_chain import AXES, Chain
 from twin.machine.mounting import Guide, Mounting
 
 SHIMS = 3
-"""Places at which a guide is shimmed, evenly spaced between its ends."""
+"""Places at which a guide is shimmed between its ends, evenly spaced."""
 _LEVELLED = ("X", "Y")
 
 
@@ -44,8 +44,9 @@ class ActionKind(StrEnum):
 
 @dataclass(frozen=True)
 class Shim:
-    """Displacement in mm of a guide at `at_mm`, the axis position at which the middle of the shoes is there, with its
-    expanded uncertainty (k = 2)."""
+    """Thickness in mm by which a guide is shimmed at `at_mm`, the axis position at which the middle of the shoes is
+    there, with the expanded uncertainty (k = 2) of its difference to the shims at both ends of the guide. The ends lie
+    half the distance of the shoes beyond the travel."""
 
     at_mm: float
     amount_mm: float
@@ -67,8 +68,9 @@ class MechanicalAction:
     - A `SCALE` action lengthens the motion of `axis` by `amount`, as a ratio.
     - A `SQUARENESS` action turns the guide of `axis` by `amount`, in rad, so that the motion of the tool relative to
       the workpiece towards the positive direction of `axis` turns towards that of `towards`.
-    - A `STRAIGHTNESS` action moves the guide of `axis` by its `shims` in the direction of `towards`. `amount` is the
-      largest of them, in mm.
+    - A `STRAIGHTNESS` action moves the guide of `axis` by its `shims` in the direction of `towards`, those at both ends
+      included. None is negative: all of them may be thicker by the same amount, which is a rigid motion. `amount` is
+      the largest difference to those at the ends, in mm.
     - A `LEVEL` action turns what the guide of `axis` carries about the positive direction of `axis`: from
       -`amount` / 2, in rad, at the lower end of the travel to `amount` / 2 at the upper end. `feet` are to be raised
       for this, if the feet of the bed are known.
@@ -132,12 +134,17 @@ class Candidate:
         low, high = self.model.ranges_mm[AXES.index(self.axis)]
         largest = int(np.argmax(np.abs(amounts)))
         amount, bound = float(amounts[largest]), float(expanded[largest])
-        shims = tuple(
-            Shim(place, float(value), float(its_bound))
-            for place, value, its_bound in zip(self.places_mm, amounts, expanded, strict=False)
-        )
+        shims = self._shims(amounts, expanded) if self.kind is ActionKind.STRAIGHTNESS else ()
         feet = self._raised_feet(amount, mounting) if self.kind is ActionKind.LEVEL and mounting.feet else ()
         return MechanicalAction(self.kind, self.axis, self.towards, amount, bound, high - low, low, shims, feet)
+
+    def _shims(self, amounts: Array, expanded: Array) -> tuple[Shim, ...]:
+        """Return the shims of a guide from end to end. The thinnest one is zero."""
+        assert self.guide is not None  # noqa: S101  a guide that is not known is no candidate
+        places = _supports(self.model.ranges_mm[AXES.index(self.axis)], self.guide.shoes_mm)
+        heights, bounds = np.pad(amounts, 1), np.pad(expanded, 1)
+        heights = heights - heights.min()
+        return tuple(Shim(*map(float, one)) for one in zip(places, heights, bounds, strict=True))
 
     def _raised_feet(self, amount: float, mounting: Mounting) -> tuple[RaisedFoot, ...]:
         # The height of a twisted bed is t x y: about X it turns by t x, about Y by -t y. A table on the bed stands at
@@ -191,9 +198,7 @@ def _straightened_guides(model: ErrorModel, mounting: Mounting) -> Iterator[Cand
     for axis, (low, high) in zip(AXES, model.ranges_mm, strict=True):
         guide = mounting.guides.get(axis)
         if guide is not None:
-            places = tuple(
-                np.linspace(low - 0.5 * guide.shoes_mm, high + 0.5 * guide.shoes_mm, SHIMS + 2)[1:-1].tolist()
-            )
+            places = tuple(_supports((low, high), guide.shoes_mm)[1:-1].tolist())
             for towards in AXES:
                 if towards != axis:
                     yield Candidate(ActionKind.STRAIGHTNESS, axis, towards, model, guide, places)
@@ -209,9 +214,13 @@ def _levelled_guides(model: ErrorModel, mounting: Mounting) -> Iterator[Candidat
 def _rail(travel_mm: tuple[float, float], shoes_mm: float) -> CubicSpline:
     """Return the shape of a rail by each of its shims: the splines through 1 at this shim, and through 0 at the other
     ones and at both ends."""
+    return CubicSpline(_supports(travel_mm, shoes_mm), np.eye(SHIMS + 2)[:, 1:-1], bc_type="natural")
+
+
+def _supports(travel_mm: tuple[float, float], shoes_mm: float) -> Array:
+    """Return the places of the shims of a rail and of its ends, as axis positions in mm of the middle of the shoes."""
     low, high = travel_mm
-    supports = np.linspace(low - 0.5 * shoes_mm, high + 0.5 * shoes_mm, SHIMS + 2)
-    return CubicSpline(supports, np.eye(SHIMS + 2)[:, 1:-1], bc_type="natural")
+    return np.linspace(low - 0.5 * shoes_mm, high + 0.5 * shoes_mm, SHIMS + 2)
 
 
 def _side(chain: Chain, axis: str) -> float:

@@ -18,13 +18,15 @@ from twin.arrays import Array
 from twin.errors import DataError
 from twin.identification.predicted import field_degrees, unresolved_variance
 from twin.machine.grid_quadrature import GridQuadrature
-from twin.machine.mounting import Mounting
+from twin.machine.mounting import Mounting, require_shoes_within_travel
 from twin.machine.rigid_motion import rigid_fields
 from twin.machine.volumetric import evaluation_grid
 from twin.workpiece.action_fields import ActionKind, Candidate, MechanicalAction, candidates
 from twin.workpiece.machine_field import MachineField, MachineKnowledge
 
 MOST_ACTIONS = 5
+LARGEST_SHIM_MM = 1.0
+"""Largest shim that is proposed. A rail that needs more was not fitted straight, or its carriage is not as stated."""
 COVERAGE = 0.95
 _DRAWS = 1000
 _SEED = 17
@@ -69,11 +71,13 @@ def plan_actions(
     `mounting` contains the guides and the feet of the machine, as far as they are known; only known guides are
     straightened. An action is proposed only if its amount is larger than its expanded uncertainty; an action with
     several amounts, only if one of them is, and if all of them together would be as improbable on a machine that does
-    not need it. Raises DataError if `most` is not at least 1.
+    not need it. Nor is a guide straightened by more than `LARGEST_SHIM_MM`. Raises DataError if `most` is not at least
+    1, and ModelError if the shoes of a guide are farther apart than its axis travels.
     """
     if most < 1:
         raise DataError(f"at least one action must be allowed, not {most}")
     mounting = mounting or Mounting()
+    require_shoes_within_travel(mounting, estimate.model.ranges_mm)
     possible = candidates(estimate.model, mounting)
     forms = _ErrorForms.of(estimate, tool_offset, possible)
     chosen: list[int] = []
@@ -101,13 +105,14 @@ class _ErrorForms:
     The field is the sum of the expected field, of what a draw of the P parameters and misfit coefficients differs from
     their expected values (`drawn`, shape (P, draws)), and of the actions. `form` (P + 1 + K, P + 1 + K) contains the
     mean products of the P columns, the expected field and the K fields of all amounts of the actions, each with the
-    amount 1. `sizes` are the numbers of amounts of the actions. `beside_mm2` is the mean square of the misfit that no
-    mode shows.
+    amount 1. `sizes` are the numbers of amounts of the actions, and `largest` the largest amount of each. `beside_mm2`
+    is the mean square of the misfit that no mode shows.
     """
 
     form: Array
     drawn: Array
     sizes: tuple[int, ...]
+    largest: tuple[float, ...]
     beside_mm2: float
 
     @classmethod
@@ -132,7 +137,8 @@ class _ErrorForms:
         drawn = (vectors * np.sqrt(np.maximum(values, 0.0))) @ np.concatenate((half, -half), axis=1)
         beside_mm2 = 3.0 * unresolved_variance(estimate)
         form, sizes = np.asarray(columns.T @ columns - shared.T @ shared), tuple(one.size for one in actions)
-        return cls(form, np.asarray(drawn), sizes, beside_mm2)
+        largest = tuple(LARGEST_SHIM_MM if one.kind is ActionKind.STRAIGHTNESS else np.inf for one in actions)
+        return cls(form, np.asarray(drawn), sizes, largest, beside_mm2)
 
     def amounts(self, chosen: Sequence[int]) -> tuple[Array, Array]:
         """Return the amounts (k,) of the `chosen` actions that leave the smallest expected mean square, and their
@@ -141,7 +147,8 @@ class _ErrorForms:
         return found, np.asarray(_COVERAGE_FACTOR * deviations.std(axis=1))
 
     def are_certain(self, chosen: Sequence[int]) -> bool:
-        """Return True if, of each action, the amounts together and one of them alone exceed their uncertainty."""
+        """Return True if, of each action, the amounts together and one of them alone exceed their uncertainty, and none
+        is larger than an action can be."""
         found, deviations = self._fitted(chosen)
         start = 0
         for number in chosen:
@@ -150,6 +157,8 @@ class _ErrorForms:
             covariance = deviations[own] @ deviations[own].T / deviations.shape[1]
             square = float(found[own] @ np.linalg.pinv(covariance, hermitian=True) @ found[own])
             larger = np.abs(found[own]) > _COVERAGE_FACTOR * np.sqrt(np.diagonal(covariance))
+            if np.ptp(np.append(found[own], 0.0)) > self.largest[number]:
+                return False
             if not larger.any() or square <= float(chdtri(float(self.sizes[number]), _DOUBTED)):
                 return False
         return True

@@ -7,7 +7,8 @@ so it is drawn between none and all; and lost motion is allowed to change along 
 
 The figures are those of one measurement as the standard asks for it, with five approaches of every target from each
 side: the propagation of distributions (JCGM 101) draws the approaches too, since the largest of many standard
-deviations of five readings is larger than the true one.
+deviations of five readings is larger than the true one. They are those of the whole travel also if it is longer than
+2000 mm: the standard states A and R only for a part of such an axis, and the titles say so.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.compensation.table import CompensationTable
+from twin.errors import DataError
 from twin.machine.kinematic_chain import AXES
 from twin.workpiece.acceptance import AcceptanceTest, PredictedTest
 from twin.workpiece.conformity import Conformity
@@ -39,8 +41,16 @@ TITLES: Mapping[str, str] = {
     "R±": "repeatability of positioning of {axis} from one side",
     "B": "reversal of {axis}",
 }
+LONGEST_MM = 2000.0
+"""Longest travel for which ISO 230-2:2014 asks for five approaches of each target (5.3.2). Of a longer axis, the whole
+travel is approached once from each side (5.3.3), which gives E, B and M; A and R are then stated for a part of 2000 mm
+that is agreed."""
+_OF_A_PART = ("A", "A±", "R", "R±")
 _NEED_LOST_MOTION = ("A", "E", "R", "B")
 _NEED_SCATTER = ("A", "A±", "R", "R±", "B")
+FEWEST_FREEDOM = 3
+"""Degrees of freedom from which a scatter is stated. With one it has no finite mean, with two no finite variance: a
+figure would lie outside its own limits, or differ from one set of draws to the next."""
 _DRAWS = 1000
 _SEED = 23
 
@@ -52,6 +62,9 @@ class AxisRepeats:
     `scatter_mm` is the standard deviation of touches for which the axis came from the same side, with `freedom` degrees
     of freedom; None if it was not measured. `lost_mm` is the lost motion and `lost_sigma_mm` its standard uncertainty,
     measured at the axis position `at_mm`; None if it was not measured.
+
+    Raises DataError if a standard deviation is negative, or if the scatter has fewer than `FEWEST_FREEDOM` degrees of
+    freedom.
     """
 
     scatter_mm: float | None = None
@@ -59,6 +72,15 @@ class AxisRepeats:
     lost_mm: float | None = None
     lost_sigma_mm: float = 0.0
     at_mm: float = 0.0
+
+    def __post_init__(self) -> None:
+        if min(self.scatter_mm or 0.0, self.lost_sigma_mm) < 0.0:
+            raise DataError("a standard deviation of repeated touches cannot be negative")
+        if self.scatter_mm is not None and self.freedom < FEWEST_FREEDOM:
+            raise DataError(
+                f"a scatter with {self.freedom} degrees of freedom is too uncertain: {FEWEST_FREEDOM} are needed",
+                hint="Touch more often",
+            )
 
     @property
     def figures(self) -> tuple[str, ...]:
@@ -116,7 +138,7 @@ def _figures(
     ]
     found = []
     for name in repeats.figures:
-        title = TITLES[name].format(axis=axis)
+        title = _title(name, axis, test.along)
         own = Feature(
             f"{name} {axis}", FeatureKind.ACCEPTANCE_TEST, feature.points, feature.matrix, Measure.RANGE, False
         )
@@ -131,6 +153,14 @@ def _figures(
             )
         )
     return found
+
+
+def _title(name: str, axis: str, along: Array) -> str:
+    """Return what a figure means, for targets at `along` (n,) in mm."""
+    title = TITLES[name].format(axis=axis)
+    if name in _OF_A_PART and float(np.ptp(along)) > LONGEST_MM:
+        return f"{title}, over more than the {LONGEST_MM:.0f} mm for which the standard states it"
+    return title
 
 
 @dataclass(frozen=True, eq=False)

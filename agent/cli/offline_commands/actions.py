@@ -19,11 +19,11 @@ if will_run():
     from agent.cli.printing import columns_table, results_console
     from agent.workpiece.proposed_actions import (
         AT_THIS_TEMPERATURE,
-        GUIDES_UNKNOWN,
         ProposedActions,
         action_text,
         amount_texts,
         propose_actions,
+        unknown_guides_text,
     )
     from twin.units import UM_PER_MM
     from twin.workpiece.action_fields import ActionKind
@@ -70,8 +70,8 @@ def _show(found: ProposedActions) -> None:
     console.print(shown)
     if any(action.kind is ActionKind.SCALE for action in found.plan.actions):
         console.print(AT_THIS_TEMPERATURE)
-    if not found.knows_guides:
-        console.print(GUIDES_UNKNOWN, markup=False)
+    if found.unknown_guides:
+        console.print(unknown_guides_text(found.unknown_guides), markup=False)
     if not found.plan.actions:
         console.print("No action is larger than its uncertainty.")
 

@@ -133,7 +133,8 @@ def identify(
     """Identify a machine from measured ball centres.
 
     Writes estimate.json, table.csv, table.json and report.html into DIR, or nothing when the input is wrong (exit
-    code 2). If a gate does not pass, no table is written (exit code 4); estimate and report say why.
+    code 2). If a gate does not pass, no table is written (exit code 4); estimate and report say why. A table
+    in DIR is then deleted, as are other results of an earlier identification that this one does not write.
     """
     started = wall_seconds()
     if process_noise_um is not None and carried_over is None:

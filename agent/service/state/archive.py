@@ -15,6 +15,7 @@ from agent.execution.journal_rows import RunCounts, RunRow, TableRow
 from agent.execution.stored_json import stored_json
 from agent.results.decision_kinds import OUTCOME
 from agent.results.run_verdict import run_figures, verdict_of
+from agent.results.stored_gates import gate_records
 from drivers.errors import InputError
 
 Document = dict[str, Any]
@@ -55,11 +56,12 @@ class Archive:
             settings = stored_json(reader.settings_text(run))
             decisions = reader.decisions(run)
             asked = reader.events(run, ("asked",), limit=1)
+            gates = (one.record for one in decisions if one.kind == "gate")
             return {
                 **self._summary(reader, counts),
                 "position_set": settings["procedure"]["position_set"],
                 "asked": asked[0].record if asked else None,
-                "gates": [one.record for one in decisions if one.kind == "gate"],
+                "gates": gate_records(gates, settings),
                 "decisions": [
                     {"at": one.at, "kind": one.kind, "record": one.record}
                     for one in decisions

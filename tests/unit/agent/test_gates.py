@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ from agent.results.travel_parts import TravelPart, TravelParts
 from agent.settings.schema import GateSettings
 from drivers.roles import Activation, StoreLimits
 from twin.compensation.table import CompensationTable
-from twin.errors import DataError
+from twin.errors import DataError, FormatError
+from twin.formats.toml_reading import validate_document
 from twin.machine.anchor import Anchor
 
 LIMITS = GateSettings()
@@ -98,8 +100,18 @@ def test_the_limit_of_the_certificate_is_read_in_its_earlier_form(stated: dict[s
 
 
 @pytest.mark.parametrize(
-    "stated", [{"max_certificate_sigma": "many"}, {"max_certificate_sigma": 4.0, "max_certificate_en": 2.0}]
+    "stated",
+    [
+        {"max_certificate_sigma": "many"},
+        {"max_certificate_sigma": "5"},
+        {"max_certificate_sigma": True},
+        {"max_certificate_sigma": -4},
+        {"max_certificate_sigma": math.nan},
+        {"max_certificate_sigma": 4.0, "max_certificate_en": 2.0},
+    ],
 )
-def test_an_earlier_limit_that_cannot_be_meant_is_refused(stated: dict[str, object]) -> None:
-    with pytest.raises(ValueError, match="max_certificate_sigma"):
-        GateSettings.model_validate(stated)
+def test_an_earlier_limit_that_cannot_be_meant_is_refused_by_the_key_that_was_written(stated: dict[str, Any]) -> None:
+    with pytest.raises(FormatError) as refused:
+        validate_document(stated, "settings.toml", GateSettings)
+    assert refused.value.where["key"] == "max_certificate_sigma"
+    assert "max_certificate_en" not in refused.value.message

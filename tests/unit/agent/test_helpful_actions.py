@@ -128,8 +128,9 @@ def _toml(document: Mapping[str, Any]) -> str:
         ("squareness", "Z", "X", {"B0Z"}),
         ("squareness", "Y", "X", {"C0Y"}),
         ("squareness", "Z", "Y", {"A0Z"}),
-        ("straightness", "X", "Y", {"EYX", "EYX[2]"}),
-        ("level", "X", "X", {"EAX"}),
+        ("straightness", "X", "Y", {"EYX", "EYX[2]", "ECX", "ECX[1]"}),
+        ("straightness", "X", "Z", {"EBX"}),
+        ("level", "X", "X", {"EAX", "EAX[1]"}),
     ],
 )
 def test_which_errors_an_action_changes(kind: str, axis: str, towards: str, changed: set[str]) -> None:
@@ -142,11 +143,17 @@ def test_which_errors_an_action_changes(kind: str, axis: str, towards: str, chan
         "B0Z",
         "C0Y",
         "EYX",
+        "EYX[0]",
         "EYX[2]",
+        "EYX[9]",
         "EXY",
         "EAX",
+        "EAX[1]",
+        "EAX[3]",
         "EBX",
         "ECX",
+        "ECX[0]",
+        "ECX[1]",
         "held_out",
     )
     action = {"kind": kind, "axis": axis, "towards": towards}

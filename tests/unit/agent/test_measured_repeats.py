@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+import pytest
+
 from agent.execution.journal import Journal
 from agent.execution.states import RunState
+from agent.language.sentences import german
 from agent.workpiece.measured_repeats import measured_repeats
 from drivers.clock import VirtualClock
 from twin.workpiece.positioning import AxisRepeats
@@ -62,6 +66,32 @@ def test_a_run_without_its_checks_says_what_is_missing(tmp_path: Path) -> None:
     assert len(found.not_measured) == 3
     assert "[reversal]" in found.not_measured[0]
     assert "[probe_check]" in found.not_measured[0]
+    assert german(found.not_measured[0]) == (
+        "nicht gemessen: A X, A± X, E X, R X, R± X, B X: der Lauf hat ihr Umkehrspiel (Einstellungen `[reversal]`) und "
+        "die Wiederholbarkeit von Antastungen (mindestens 4, Einstellungen `[probe_check]`) nicht gemessen"
+    )
+
+
+@pytest.mark.parametrize(
+    ("touches", "expected"),
+    [
+        (3, AxisRepeats(np.sqrt((1 * 0.8**2 + 2 * 1.0**2) / 3) * 1e-3, 3, 3e-3, 0.4e-3, 100.0)),
+        (0, AxisRepeats(None, 0, 3e-3, 0.4e-3, 100.0)),
+    ],
+)
+def test_a_scatter_of_too_few_touches_is_pooled_with_those_of_a_pole_or_not_stated(
+    tmp_path: Path, touches: int, expected: AxisRepeats
+) -> None:
+    """One touch from either side leaves one degree of freedom."""
+    decisions: dict[str, dict[str, object]] = {
+        "probe/ball-00/reversal/reversal": {"axes": [AXES[0] | {"freedom": 1}], "at_mm": [100.0, 200.0, 300.0]}
+    }
+    if touches:
+        decisions["probe/ball-00/check/repeatability"] = {"two_sigma_um": 2.0, "touches": touches}
+    found = measured_repeats(a_run(tmp_path, decisions)).axes["X"]
+    assert (found.freedom if found.scatter_mm else 0) == expected.freedom
+    assert found.scatter_mm == (None if expected.scatter_mm is None else pytest.approx(expected.scatter_mm))
+    assert (found.lost_mm, found.at_mm) == (expected.lost_mm, expected.at_mm)
 
 
 def test_a_folder_beside_a_journal_that_is_no_run_has_none(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from twin.errors import DataError
 from twin.machine.error_model import ErrorModel
 from twin.machine.kinematic_chain import parse_chain
 from twin.workpiece.acceptance import acceptance_tests, axis_line
@@ -103,6 +104,28 @@ def test_the_figures_are_those_of_five_approaches() -> None:
 )
 def test_only_what_was_measured_is_stated(repeats: AxisRepeats, names: tuple[str, ...]) -> None:
     assert set(figures_um(known(), repeats)) == {f"{name} X" for name in names}
+
+
+def test_a_figure_lies_inside_its_own_limits_with_few_degrees_of_freedom() -> None:
+    found = figures_um(known(EXX1=10e-3), AxisRepeats(1e-3, 3, 5e-3, 0.5e-3, 450.0))
+    assert len(found) == 6
+    assert all(low <= expected <= high for expected, low, high in found.values())
+
+
+def test_figures_beyond_the_travel_of_the_standard_say_so() -> None:
+    """ISO 230-2:2014 states accuracy and repeatability for travels of up to 2000 mm, reversal and E for all."""
+    model = ErrorModel.uniform(MODEL.chain, ((0.0, 2100.0), (0.0, 2000.0), (0.0, 400.0)), 2, ())
+    tests = acceptance_tests(model.ranges_mm, TOOL, CENTRE, ())
+    repeats = {name: AxisRepeats(1e-3, 29, 6e-3, 0.0, 450.0) for name in "XY"}
+    found = predict_positioning(KnownMachine(np.zeros(model.size), model), tests, repeats, TOOL)
+    beyond = {one.test.feature.name for one in found if "over more than the 2000 mm" in one.test.title}
+    assert beyond == {"A X", "A± X", "R X", "R± X"}
+
+
+@pytest.mark.parametrize("given", [(1e-3, 0), (1e-3, 2), (-1e-3, 9), (1e-3, 9, 5e-3, -1e-3)])
+def test_a_scatter_that_says_nothing_is_refused(given: tuple[float, ...]) -> None:
+    with pytest.raises(DataError, match=r"degrees of freedom|negative"):
+        AxisRepeats(*given)  # type: ignore[arg-type]
 
 
 def test_angles_are_those_of_the_error_motions() -> None:

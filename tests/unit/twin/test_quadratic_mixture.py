@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from twin.errors import DataError
 from twin.uncertainty.quadratic_distribution import QuadraticDistribution
 from twin.uncertainty.volumetric_distribution import QuadraticMixture
 
@@ -36,3 +37,23 @@ def test_quantiles_lead_back(probability: float) -> None:
 
 def test_a_mixture_of_one_is_that_one() -> None:
     assert QuadraticMixture((WIDE, WIDE)).quantile(0.3) == pytest.approx(WIDE.quantile(0.3), rel=1e-9)
+
+
+@pytest.mark.parametrize("probability", [1e-12, 1.0 - 1e-12])
+def test_quantiles_far_out_lead_back(probability: float) -> None:
+    rare = min(probability, 1.0 - probability)
+    of_tail = BOTH.at_most if probability < 0.5 else BOTH.exceeds
+    assert of_tail(BOTH.quantile(probability)) == pytest.approx(rare, rel=1e-3)
+
+
+@pytest.mark.parametrize("probability", [0.0, 1e-310, 1e-13, 1.0 - 1e-13, 1.0 - 1.2e-16, 1.0, -0.1, float("nan")])
+def test_what_rounding_hides_has_no_quantile(probability: float) -> None:
+    with pytest.raises(DataError, match="probability must lie between"):
+        BOTH.quantile(probability)
+
+
+@pytest.mark.parametrize("probability", [0.025, 0.975])
+def test_a_spread_near_rounding_is_resolved(probability: float) -> None:
+    """One squared normal variable of 10⁻¹² above 10⁻³."""
+    tight = QuadraticMixture((QuadraticDistribution(np.array([1e-12]), np.array([0.0]), 1e-3),))
+    assert tight.at_most(tight.quantile(probability)) == pytest.approx(probability, abs=2e-3)
