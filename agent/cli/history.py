@@ -102,7 +102,7 @@ def trend_command(
 
         write_all_atomically(figure.parent, {figure.name: trends_png(shown)})
     alarms = alarms_of(trends)
-    actions = helpful_actions(trends, runs, settings.state_directory)
+    actions = helpful_actions(trends, runs, settings.state_directory, settings.machine)
     if as_json_object:
         helps = {name: action.as_json() for name, action in actions.items()}
         document = {
