@@ -67,8 +67,9 @@ class LimitForecast:
     """Forecast of a value that must stay below `limit`.
 
     `nights`, shape (k,), are nights after the last measured one, from 0 to the horizon. For each of them, `probability`
-    is the probability that the limit has been reached by then (with two limits an upper bound of it). `low`, `middle` and `high` are the quantiles 5 %, 50 %
-    and 95 % of the true value in that night, in the unit of the values. Each array has shape (k,).
+    is the probability that the limit has been reached by then (with two limits an upper bound of it). `low`, `middle`
+    and `high` are the quantiles 5 %, 50 % and 95 % of the true value in that night, in the unit of the values. Each
+    array has shape (k,).
     """
 
     limit: float

@@ -28,8 +28,8 @@ _OVERVIEW = ""
 
 class TrendCache:
     """Cache of the documents of the trends, also over a restart. A document is made again only if runs in the history,
-    the settings of the history, or the files from which actions are proposed have changed. The trends are taken from `trends`. The cache is safe to use from any
-    thread."""
+    the settings of the history, or the files from which actions are proposed have changed. The trends are taken from
+    `trends`. The cache is safe to use from any thread."""
 
     def __init__(self, trends: CachedTrends) -> None:
         self._trends = trends
