@@ -102,7 +102,7 @@ def trend_command(
 
         write_all_atomically(figure.parent, {figure.name: trends_png(shown)})
     alarms = alarms_of(trends)
-    actions = helpful_actions(trends, runs, settings.state_directory)
+    actions = helpful_actions(trends, runs, settings.state_directory, settings.machine)
     if as_json_object:
         helps = {name: action.as_json() for name, action in actions.items()}
         document = {
@@ -290,9 +290,18 @@ def _trend_table(trends: tuple[Trend, ...]) -> Table:
             "" if drift is None else ", ".join(f"{size:+.1f} at {at:.0f}" for at, size, _ in drift.steps),
             "" if series.tolerance is None else f"{series.tolerance:g}",
             _dates_text(trend),
-            "" if trend.forecast is None else f"{100.0 * trend.forecast.within(trend.warn_nights):.0f} %",
+            _share_text(trend),
         )
     return table
+
+
+def _share_text(trend: Trend) -> str:
+    """Return the probability of reaching the tolerance, with the number of nights if the forecast ends before those of
+    a warning."""
+    if trend.forecast is None:
+        return ""
+    share = f"{100.0 * trend.forecast.within(trend.nights_stated):.0f} %"
+    return share if trend.nights_stated == trend.warn_nights else f"{share} ({trend.nights_stated:.3g} nights)"
 
 
 def _dates_text(trend: Trend) -> str:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -52,24 +54,42 @@ class HelpfulAction:
 
 
 def helpful_actions(
-    trends: Sequence[Trend], runs: Sequence[StoredRun], state_directory: Path
+    trends: Sequence[Trend], runs: Sequence[StoredRun], state_directory: Path, machine: Path | None = None
 ) -> Mapping[str, HelpfulAction]:
     """Return what would help most against each of the `trends` that has reached its tolerance or soon will, by the name
     of the series.
 
     Mechanical actions are those of the latest of the `runs`, oldest first, whose folder in `state_directory` has an
-    estimate.
+    estimate. `machine` is the machine file that states guides and feet, None without one.
     """
     grave = [trend for trend in trends if any(alarm.kind is not AlarmKind.CONTROL for alarm in trend.alarms)]
     names = [trend.series.name for trend in grave]
     found = {name: HelpfulAction("calibrate anew: the table no longer fits the machine") for name in names}
     mechanical = [trend for trend in grave if trend.series.name not in (ACTIVE, HELD_OUT)]
     if mechanical:
-        run_id, plan = _latest_plan(runs, state_directory)
+        run_id, plan = _latest_plan(runs, state_directory, machine)
         for trend in mechanical:
             name, title = trend.series.name, trend.series.title
             found[name] = plan if isinstance(plan, HelpfulAction) else _chosen(name, title, run_id, plan)
     return found
+
+
+def sources_key(state_directory: Path, machine: Path | None = None) -> tuple[tuple[str, int, int], ...]:
+    """Return what stands for the files from which actions are proposed: path, time of change in ns and size in bytes of
+    every estimate in the folders of `state_directory`, and of the `machine` file. Files that cannot be read are left
+    out."""
+    try:
+        with os.scandir(state_directory) as entries:
+            folders = sorted(entry.path for entry in entries if entry.is_dir())
+    except OSError:
+        folders = []
+    files = [present_file(Path(folder) / ESTIMATE_NAME) for folder in folders]
+    found = []
+    for file in files if machine is None else (*files, machine):
+        with suppress(OSError):
+            state = file.stat()
+            found.append((str(file), state.st_mtime_ns, state.st_size))
+    return tuple(found)
 
 
 def alarms_json(alarms: Sequence[TrendAlarm], actions: Mapping[str, HelpfulAction]) -> list[dict[str, Any]]:
@@ -86,13 +106,15 @@ def hint_of(alarm: TrendAlarm, actions: Mapping[str, HelpfulAction]) -> str:
     return "" if action is None else action.text
 
 
-def _latest_plan(runs: Sequence[StoredRun], state_directory: Path) -> tuple[str, ProposedActions | HelpfulAction]:
+def _latest_plan(
+    runs: Sequence[StoredRun], state_directory: Path, machine: Path | None
+) -> tuple[str, ProposedActions | HelpfulAction]:
     """Return the run that has the latest estimate, and the actions that it proposes or why there are none."""
     for run in reversed(runs):
         folder = state_directory / run.run_id
         if run.parameters and present_file(folder / ESTIMATE_NAME).exists():
             try:
-                return run.run_id, propose_actions(folder, MOST_ACTIONS, None)
+                return run.run_id, propose_actions(folder, MOST_ACTIONS, None, machine)
             except InputError as error:
                 return run.run_id, HelpfulAction(f"no mechanical action can be proposed: {error.message}")
     return "", HelpfulAction("no mechanical action can be proposed: no run with an estimate is in the state directory")

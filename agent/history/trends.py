@@ -34,6 +34,9 @@ HORIZON_NIGHTS = 3650.0
 MIN_CHARTED = 8
 WARN_PROBABILITY = 0.5
 """Probability of reaching a tolerance within the nights of a warning with which an alarm is raised."""
+SHORT_HISTORY = 16
+"""Number of values below which a probability raises an alarm only if the slope is significant: of a constant value,
+eight or twelve values that scatter often give a slope by chance."""
 _COURSE_DIGITS = 4
 
 
@@ -66,7 +69,7 @@ class Trend:
     if there are fewer than `MIN_CHARTED` (8) such values. `crossing` predicts the time at which the series will reach
     its tolerance; it is None if there is no tolerance or no drift. `forecast` contains the probability of this; it is
     None if there is no tolerance, if it is already reached, or if there are too few values. `warn_nights` is the time
-    for which the probability is stated.
+    of a warning, for which the probability is stated unless the forecast ends before.
     """
 
     series: Series
@@ -77,6 +80,12 @@ class Trend:
     forecast: LimitForecast | None
     warn_nights: float
     alarms: tuple[TrendAlarm, ...]
+
+    @property
+    def nights_stated(self) -> float:
+        """Nights after the last run for which the probability is stated: those of a warning, or the horizon of the
+        forecast if that is shorter."""
+        return self.warn_nights if self.forecast is None else min(self.warn_nights, self.forecast.horizon)
 
     def date_reached(self, probability: float) -> datetime | None:
         """Return the UTC time by which the tolerance is reached with this `probability`, or None if the forecast names
@@ -120,7 +129,8 @@ class Trend:
         }
         return {
             "warn_nights": self.warn_nights,
-            "probability": round(forecast.within(self.warn_nights), _COURSE_DIGITS),
+            "within_nights": self.nights_stated,
+            "probability": round(forecast.within(self.nights_stated), _COURSE_DIGITS),
             "horizon_nights": forecast.horizon,
             "dates": [None if date is None else f"{date:%Y-%m-%d}" for date in dates],
             "nights_to": [forecast.nights_to(probability) for probability in (LOW, 0.5, HIGH)],
@@ -173,10 +183,11 @@ def _is_at(series: Series, tolerance: float) -> bool:
     return (abs(value) if series.two_sided else value) >= tolerance
 
 
-def _tolerance_alarm(trend: Trend, warn_probability: float) -> Iterable[TrendAlarm]:
+def _tolerance_alarm(trend: Trend, probability: float) -> Iterable[TrendAlarm]:
     """Yield an alarm if the tolerance is reached, or if it will probably be reached within the nights of a warning.
 
-    With too few values for a probability, the fitted line must reach the tolerance within these nights.
+    Where the forecast does not reach as far as the warning, or where there are too few values for a probability, the
+    alarm is also raised if the slope is significant and the fitted line reaches the tolerance within these nights.
     """
     series, tolerance, drift, reach = trend.series, trend.series.tolerance, trend.drift, trend.crossing
     if tolerance is None:
@@ -185,15 +196,28 @@ def _tolerance_alarm(trend: Trend, warn_probability: float) -> Iterable[TrendAla
     if _is_at(series, tolerance):
         text = f"{series.title} is {value} {series.unit}: tolerance {tolerance:g} {series.unit} reached"
         yield TrendAlarm(series.name, AlarmKind.LIMIT, text, 0.0)
-    elif drift is not None and trend.forecast is not None:
-        if trend.forecast.within(trend.warn_nights) >= warn_probability:
-            now = f"{series.title} amounts to {value} {series.unit}"
-            text = _forecast_text(_rate_text(series, drift) if drift.significant else now, trend, trend.forecast)
-            yield TrendAlarm(series.name, AlarmKind.TREND, text, trend.forecast.nights_to(0.5))
-    elif drift is not None and reach is not None and drift.significant and reach.expected <= trend.warn_nights:
+    elif drift is not None and trend.forecast is not None and _is_probable(trend, drift, trend.forecast, probability):
+        now = f"{series.title} amounts to {value} {series.unit}"
+        text = _forecast_text(_rate_text(series, drift) if drift.significant else now, trend, trend.forecast)
+        yield TrendAlarm(series.name, AlarmKind.TREND, text, trend.forecast.nights_to(0.5))
+    elif drift is not None and reach is not None and _line_reaches(trend, drift, reach):
         in_nights = max(math.floor(reach.expected), 0)
         text = f"{_rate_text(series, drift)}: tolerance {tolerance:g} {series.unit} reached in {in_nights} nights"
         yield TrendAlarm(series.name, AlarmKind.TREND, text, reach.expected)
+
+
+def _is_probable(trend: Trend, drift: Drift, forecast: LimitForecast, probability: float) -> bool:
+    """Return True if the tolerance is reached within the nights of a warning with this `probability`. The slope of a
+    short history must be significant."""
+    long = len(trend.series.values) >= SHORT_HISTORY
+    return (long or drift.significant) and forecast.within(trend.nights_stated) >= probability
+
+
+def _line_reaches(trend: Trend, drift: Drift, reach: LimitCrossing) -> bool:
+    """Return True if the forecast is missing or ends before the nights of a warning, the slope is significant, and the
+    fitted line reaches the tolerance within these nights."""
+    unsaid = trend.forecast is None or trend.forecast.horizon < trend.warn_nights
+    return unsaid and drift.significant and reach.expected <= trend.warn_nights
 
 
 def _rate_text(series: Series, drift: Drift) -> str:
@@ -205,17 +229,22 @@ def _rate_text(series: Series, drift: Drift) -> str:
 
 def _forecast_text(rate: str, trend: Trend, forecast: LimitForecast) -> str:
     """Return `rate`, the drift in words, and when the tolerance is reached, with the range of dates and the probability
-    within the nights of a warning."""
-    low, middle, high = (
-        "later" if date is None else f"{date:%Y-%m-%d}"
-        for date in (trend.date_reached(probability) for probability in (LOW, 0.5, HIGH))
-    )
+    within the nights for which it is stated. No middle of the range is named beyond the horizon."""
+    dates = [trend.date_reached(probability) for probability in (LOW, 0.5, HIGH)]
+    low, middle, high = ("later" if date is None else f"{date:%Y-%m-%d}" for date in dates)
     tolerance = f"{forecast.limit:g} {trend.series.unit}"
-    share, nights = f"{100.0 * forecast.within(trend.warn_nights):.0f}", f"{trend.warn_nights:g}"
+    share, nights = f"{100.0 * forecast.within(trend.nights_stated):.0f}", nights_text(trend.nights_stated)
+    if dates[1] is None:
+        return f"{rate}: tolerance {tolerance} may be reached from {low} on (5 %), {share} % within {nights} nights"
     return (
         f"{rate}: tolerance {tolerance} will be reached about {middle} (5 to 95 %: {low} to {high}), {share} % within "
         f"{nights} nights"
     )
+
+
+def nights_text(nights: float) -> str:
+    """Return a number of nights, of which a horizon may be a fraction, with three digits."""
+    return f"{nights:.3g}"
 
 
 def _control_alarm(series: Series, chart: IndividualsChart | None, smoothed: EwmaChart | None) -> Iterable[TrendAlarm]:

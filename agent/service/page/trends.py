@@ -4,13 +4,12 @@ or the parameters of one geometric error."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from threading import Lock
 from typing import Any
 
 from agent.execution.states import RunState
 from agent.history.cached_trends import CachedTrends, MachineTrends
-from agent.history.helpful_actions import HelpfulAction, alarms_json, helpful_actions
+from agent.history.helpful_actions import HelpfulAction, alarms_json, helpful_actions, sources_key
 from agent.history.kept_documents import KeptDocuments
 from agent.history.overview import VOLUMETRIC, alarms_of
 from agent.history.schema import StoredRun
@@ -28,9 +27,9 @@ _OVERVIEW = ""
 
 
 class TrendCache:
-    """Cache of the documents of the trends, also over a restart. A document is made again only if runs in the history
-    or the settings of the history have changed. The trends are taken from `trends`. The cache is safe to use from any
-    thread."""
+    """Cache of the documents of the trends, also over a restart. A document is made again only if runs in the history,
+    the settings of the history, or the files from which actions are proposed have changed. The trends are taken from
+    `trends`. The cache is safe to use from any thread."""
 
     def __init__(self, trends: CachedTrends) -> None:
         self._trends = trends
@@ -47,14 +46,15 @@ class TrendCache:
         """
         name, kept = of or _OVERVIEW, KeptDocuments(settings.state_directory / FILE_NAME)
         with self._lock:
-            key = self._trends.key(settings)
+            sources = sources_key(settings.state_directory, settings.machine)
+            key = (self._trends.key(settings), sources)
             if key != self._key:
                 self._key, self._documents = key, kept.read(key, dict)
             if name not in self._documents:
                 current = self._trends.current(settings)
-                if current.key != self._key:  # another run has been stored in between
-                    self._key, self._documents = current.key, {}
-                document = _document(current, name, settings.state_directory)
+                if (current.key, sources) != self._key:  # another run has been stored in between
+                    self._key, self._documents = (current.key, sources), {}
+                document = _document(current, name, settings)
                 if name != _OVERVIEW and not document["trends"]:
                     return document  # anything can be asked for
                 self._documents[name] = document
@@ -62,9 +62,9 @@ class TrendCache:
             return self._documents[name]
 
 
-def _document(current: MachineTrends, name: str, state_directory: Path) -> Document:
+def _document(current: MachineTrends, name: str, settings: Settings) -> Document:
     trends = [trend for trend in current.trends if _is_selected(trend.series, name)]
-    actions = helpful_actions(trends, current.runs, state_directory)
+    actions = helpful_actions(trends, current.runs, settings.state_directory, settings.machine)
     return {
         "trends": [_trend(trend, actions.get(trend.series.name)) for trend in trends],
         "alarms": alarms_json(alarms_of(trends), actions),

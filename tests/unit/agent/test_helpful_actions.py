@@ -40,18 +40,36 @@ def identified(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def document(state: Path, estimate: Path | None) -> Mapping[str, Any]:
+def document(state: Path, estimate: Path | None, machine: Path | None = None) -> Mapping[str, Any]:
     """Return the page's trends of a machine of which VE, VCE and EXX grow until they are soon at their tolerances."""
+    settings = grown(state)
+    if estimate is not None:
+        give(state, estimate)
+    if machine is not None:
+        settings = settings.model_copy(update={"machine": machine})
+    return TrendCache(CachedTrends()).document(settings, None)
+
+
+def give(state: Path, estimate: Path) -> None:
+    """Write the estimate of one of the last runs."""
+    folder = state / run_id(NIGHTS - 2)
+    folder.mkdir(exist_ok=True)
+    shutil.copy(estimate, folder / "estimate.json")
+
+
+def grown(state: Path) -> Settings:
+    """Write the runs of the machine, and return its settings."""
     rng = np.random.default_rng(3)
     for night in range(NIGHTS):
         exx_um, ve_um = 4.0 + 0.18 * night + 0.1 * rng.normal(), 10.0 + 0.18 * night + 0.1 * rng.normal()
         journaled(state, night, exx_um, machine="mine", ve_um=ve_um)
-    if estimate is not None:
-        folder = state / run_id(NIGHTS - 2)
-        folder.mkdir(exist_ok=True)
-        shutil.copy(estimate, folder / "estimate.json")
-    settings = Settings.model_validate(settings_document(state, history={"machine": "mine", **TOLERANCES}))
-    return TrendCache(CachedTrends()).document(settings, None)
+    return Settings.model_validate(settings_document(state, history={"machine": "mine", **TOLERANCES}))
+
+
+def hint(shown: Mapping[str, Any]) -> str:
+    """Return what the alarm of the VE without a table says."""
+    [found] = [alarm["hint"] for alarm in shown["alarms"] if (alarm["series"], alarm["kind"]) == ("ve_bare", "trend")]
+    return str(found)
 
 
 def test_the_action_is_that_of_the_command(tmp_path: Path, identified: Path) -> None:
@@ -79,6 +97,37 @@ def test_without_an_estimate_it_is_said(tmp_path: Path) -> None:
     shown = document(tmp_path, None)
     hints = {alarm["series"]: alarm["hint"] for alarm in shown["alarms"] if alarm["kind"] == "trend"}
     assert "no run with an estimate is in the state directory" in hints["EXX"]
+
+
+def test_an_estimate_that_is_written_later_is_seen(tmp_path: Path, identified: Path) -> None:
+    settings, trends = grown(tmp_path), TrendCache(CachedTrends())
+    assert "no run with an estimate" in hint(trends.document(settings, None))
+    give(tmp_path, identified)
+    helps = hint(trends.document(settings, None))
+    assert helps.startswith("what helps most: ")
+    assert hint(TrendCache(CachedTrends()).document(settings, None)) == helps  # after a restart
+    (tmp_path / run_id(NIGHTS - 2) / "estimate.json").write_text("{}")
+    assert hint(trends.document(settings, None)).startswith("no mechanical action can be proposed: ")
+
+
+def test_the_guides_of_the_machine_file_count(tmp_path: Path, identified: Path) -> None:
+    """A rail of X that lies 30 µm higher in the middle is shimmed if the distance of its shoes is known."""
+    bent = json.loads(identified.read_text(encoding="utf-8"))
+    for one in bent["parameters"]:
+        one["value"] += {"EZX[2]": -20e-3, "EBX[1]": 3.0 * 20e-3 / 2000.0}.get(one["name"], 0.0)
+    estimate, machine = tmp_path / "bent.json", tmp_path / "machine.toml"
+    estimate.write_text(json.dumps(bent), encoding="utf-8")
+    shipped = volcal.shipped_file("machines/case-study.toml")
+    machine.write_text(
+        shipped.read_text(encoding="utf-8").replace('grid = "', f'grid = "{shipped.parent}/')
+        + "\n[axes.X.guide]\nshoes_mm = 600.0\ncentre_mm = [0.0, -500.0, -400.0]\n",
+        encoding="utf-8",
+    )
+    (tmp_path / "plain").mkdir()
+    (tmp_path / "known").mkdir()
+    shimmed = "what helps most: straighten the guide of X"
+    assert not hint(document(tmp_path / "plain", estimate)).startswith(shimmed)
+    assert hint(document(tmp_path / "known", estimate, machine)).startswith(shimmed)
 
 
 def test_a_damaged_estimate_is_told_and_the_trends_are_shown(tmp_path: Path) -> None:

@@ -34,6 +34,28 @@ def test_a_walk_without_drift_reaches_a_limit_as_the_reflection_principle_says()
     assert found[0] == pytest.approx(2.0 * norm.sf(2.0 / np.sqrt(0.5 * ahead)))
 
 
+def test_at_the_start_only_a_limit_without_room_is_reached() -> None:
+    room, ahead = np.array([0.0, -1.0, 1e-300, 1e-90, 1.0]), np.array([0.0, 1e-9, 1.0])
+    with np.errstate(all="raise", under="ignore"):
+        found = passage_probability(room, np.zeros((5, 3)), np.zeros(5), ahead)
+        steep = passage_probability(np.ones(2), np.array([[1e6] * 3, [-1e6] * 3]), np.full(2, 1e-30), ahead)
+    assert found.tolist() == [[1.0] * 3] * 3 + [[0.0] * 3] * 2
+    assert steep[:, 0].tolist() == [0.0, 0.0]
+    assert steep[:, 2] == pytest.approx([1.0, 0.0])
+
+
+def test_with_two_limits_the_probability_is_a_close_upper_bound() -> None:
+    """A walk without slope in the middle: P = 1 - 4/π Σ (-1)^k/(2k + 1) exp(-(2k + 1)² π² t / 8), room and rate 1."""
+    ahead = np.array([0.0, 0.5, 1.0, 2.25, 4.0])
+    k = np.arange(200)[:, None]
+    terms = (-1.0) ** k / (2 * k + 1) * np.exp(-((2 * k + 1) ** 2) * np.pi**2 * ahead[1:] / 8.0)
+    exact = 1.0 - 4.0 / np.pi * terms.sum(axis=0)
+    one = passage_probability(np.ones(1), np.zeros((1, 5)), np.ones(1), ahead)[0, 1:]
+    above = np.minimum(2.0 * one, 1.0) - exact
+    assert (above > -1e-9).all()
+    assert above.max() < 0.09
+
+
 def test_a_line_reaches_the_limit_when_it_is_there() -> None:
     found = forecast(2.0 + 0.1 * NIGHTS)
     for probability in (0.05, 0.5, 0.95):
@@ -89,6 +111,8 @@ def test_a_known_step_is_no_drift() -> None:
 def test_too_few_values_give_no_probability() -> None:
     few = np.arange(MIN_VALUES - 1.0)
     assert forecast_limit(few, few, np.ones(len(few)), 20.0, two_sided=False) is None
+    with np.errstate(all="raise"):
+        assert forecast_limit([], [], [], 20.0, two_sided=True) is None
     same = np.zeros(12)
     assert forecast_limit(same, np.arange(12.0), np.ones(12), 20.0, two_sided=False) is None
 

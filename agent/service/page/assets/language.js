@@ -54,6 +54,12 @@ export function day(utc) {
   return say("date.day", { year: at.getFullYear(), month: two(at.getMonth() + 1), day: two(at.getDate()) });
 }
 
+/* A date that is stated as "2026-12-11" (UTC): the same day in every time zone. */
+export function dayOfDate(date) {
+  const [year, month, day] = date.split("-");
+  return say("date.day", { year, month, day });
+}
+
 export const timeOfDay = (utc, timeStyle = "medium") => new Intl.DateTimeFormat(language, { timeStyle, hourCycle: "h23" }).format(new Date(utc));
 
 /* Names the button that leads to the other language, in that language. */

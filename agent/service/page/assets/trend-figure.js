@@ -3,7 +3,7 @@
    by dragging over a chart. */
 import { band, chart, fall, level, line, MANY, pathOf, points, reach } from "./chart.js";
 import { draw, make } from "./dom.js";
-import { day, minute, number, say } from "./language.js";
+import { day, dayOfDate, minute, number, say } from "./language.js";
 import { choice } from "./parts.js";
 import { told } from "./sentences.js";
 
@@ -49,14 +49,14 @@ function aheadOf({ nights, forecast }) {
 }
 
 /* Expected value with its band from 5 % to 95 %, and on the tolerance the dates with 5 %, 50 % and 95 %. */
-function forecastDraws({ nights: measured, started, forecast, tolerance, two_sided }, { nights, low, middle, high }, x, y) {
+function forecastDraws({ nights: measured, forecast, tolerance, two_sided }, { nights, low, middle, high }, x, y) {
   const those = nights.map((_, i) => i).filter((i) => nights[i] >= x[0] && nights[i] <= x[1]), of = (list) => those.map((i) => Math.min(Math.max(list[i], y[0]), y[1]));
   if (!those.length) return [];
   const last = measured.at(-1), side = two_sided && middle.at(-1) < 0 ? -tolerance : tolerance, shown = those.map((i) => nights[i]);
   const seen = those.filter((i) => middle[i] >= y[0] && middle[i] <= y[1]);
-  const marks = forecast.nights_to.map((ahead, i) => ({ at: last + ahead, half: i === 1 ? 9 : 5, known: ahead !== null })).filter(({ at, known }) => known && at >= x[0] && at <= x[1]);
+  const marks = forecast.nights_to.map((ahead, i) => ({ at: last + ahead, date: forecast.dates[i], half: i === 1 ? 9 : 5, known: ahead !== null })).filter(({ at, known }) => known && at >= x[0] && at <= x[1]);
   return [band(shown, of(low), of(high), "forecast"), line(seen.map((i) => nights[i]), seen.map((i) => middle[i]), "forecast"),
-    ...marks.map(({ at, half }) => (scales) => [draw("line", { x1: scales.x(at), x2: scales.x(at), y1: scales.y(side) - half, y2: scales.y(side) + half, class: "due" }, draw("title", {}, day(dateOf({ nights: measured, started }, at))))])];
+    ...marks.map(({ at, date, half }) => (scales) => [draw("line", { x1: scales.x(at), x2: scales.x(at), y1: scales.y(side) - half, y2: scales.y(side) + half, class: "due" }, draw("title", {}, dayOfDate(date)))])];
 }
 
 /* Rates of many nights are small: as many decimals as their uncertainty needs. */
@@ -143,10 +143,11 @@ export function drifting(trend) {
 
 /* When the tolerance is reached: the date with its range and the probability, or the nights left if there are too few values for that. */
 function leftOf(trend) {
-  const { forecast, nights, nights_left } = trend;
+  const { forecast, nights_left } = trend;
   if (!forecast) return nights_left === null || !hasSlope(trend) ? "" : ` · ${say("trend.left", { nights: number(nights_left, 0) })}`;
-  const [low, middle, high] = forecast.nights_to.map((ahead) => (ahead === null ? say("trend.later") : day(dateOf(trend, nights.at(-1) + ahead))));
-  const soon = say("trend.soon", { share: number(100 * forecast.probability, 0), nights: number(forecast.warn_nights, 0) });
+  const [low, middle, high] = forecast.dates.map((date) => (date === null ? say("trend.later") : dayOfDate(date)));
+  const within = forecast.within_nights, decimals = Number.isInteger(within) ? 0 : 1;
+  const soon = say("trend.soon", { share: number(100 * forecast.probability, 0), nights: number(within, decimals) });
   return ` · ${forecast.nights_to[1] === null ? "" : `${say("trend.due", { middle, low, high })}, `}${soon}`;
 }
 
