@@ -26,10 +26,10 @@ def page(name: str) -> str:
 
 
 def rows(text: str) -> Iterator[list[str]]:
-    """The cells of every line of a table."""
+    """The cells of every line of a table; a bar in a cell has a backslash before it."""
     for line in text.splitlines():
         if line.startswith("|"):
-            yield [cell.strip() for cell in line.strip("|").split("|")]
+            yield [cell.strip() for cell in re.split(r"(?<!\\)\|", line.strip("|"))]
 
 
 def section(text: str, heading: str) -> str:

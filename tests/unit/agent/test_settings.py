@@ -14,8 +14,8 @@ from agent.settings.load import load_settings
 from agent.settings.schema import parse_settings
 from drivers.registry import check_options
 from simulators.scenario import read_scenario
-from twin.finite_elements.structure_file import parse_structure
 from twin.errors import FormatError
+from twin.finite_elements.structure_file import parse_structure
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
 READERS = {
