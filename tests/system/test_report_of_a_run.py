@@ -55,6 +55,7 @@ def season() -> Iterator[Season]:
         state = Path(directory) / "state"
         night, document = Night(), short_document(state)
         document["nightly"] = {"check_positions": 1, "max_chi2": 4.0, "max_ve_growth": 20.0, "step_evidence": 30.0}
+        document["report"] = {**document.get("report", {}), "measured_by": "A"}  # persons are those of the run
         calibrated = night.run(document)
         verified = night.run(document, kind=Verification(station=1, nights=1.0))
         asked: list[Supervisor] = []
@@ -325,7 +326,7 @@ def test_the_command_writes_a_digital_certificate(season: Season, tmp_path: Path
     (tmp_path / "key.pem").chmod(0o600)
     (tmp_path / "cert.pem").write_bytes(who.pem)
     config.write_text(
-        config.read_text() + '[report]\ncustomer = "C"\nmeasured_by = "A"\n[report.machine]\nserial_number = "7"\n'
+        config.read_text() + '[report]\ncustomer = "C"\n[report.machine]\nserial_number = "7"\n'
         '[report.laboratory]\nname = "L"\ncity = "T"\ncountry = "DE"\n'
     )
     done = volcal("report", run_id, "--config", config, "--dcc", file)
