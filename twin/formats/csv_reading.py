@@ -80,10 +80,10 @@ def _check_header(header: list[str], source: str, columns: Sequence[str], option
     if optional:
         hint += f", and may go on with {','.join(optional)}"
     if len(header) == 1 and len(columns) > 1:
-        for separator, called in ((";", "semicolons"), ("\t", "tabulators")):
+        for separator, shown in ((";", ";"), ("\t", "\\t")):
             if separator in header[0]:
-                message = f"the columns are separated by {called}, not by commas"
-                raise FormatError(message, hint=f"{hint}; decimals have a point", file=source, row=1)
+                message = f"the columns are separated by '{shown}', not by commas"
+                raise FormatError(message, hint=hint, file=source, row=1)
     for name in columns:
         if header.count(name) != 1:
             problem = "is missing" if name not in header else "appears more than once"

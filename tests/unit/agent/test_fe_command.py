@@ -311,11 +311,11 @@ def test_headers_of_spreadsheets(tmp_path: Path) -> None:
     results.write_text(text.replace("x_mm,y_mm", '"x_mm","y_mm"'))
     assert call(*common).exit_code == 0
     np.testing.assert_allclose(grid_um(out), field_um(AXES), atol=2e-4)
-    for separator, called in ((";", "semicolons"), ("\t", "tabulators")):
+    for separator, shown in ((";", ";"), ("\t", r"\t")):
         results.write_text(text.replace(",", separator))
         done = call(*common)
         assert done.exit_code == 2
-        assert f"separated by {called}, not by commas" in done.stderr
+        assert f"separated by '{shown}', not by commas" in done.stderr
 
 
 def test_grids_of_the_same_name_have_a_row_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

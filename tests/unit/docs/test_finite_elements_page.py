@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from agent.finite_elements.machine_structure import solid_deflection
 from agent.model_files import load_machine
@@ -48,6 +49,21 @@ def test_the_table_is_what_the_command_prints(machine: MachineDescription) -> No
     columns = [column_of(cross_effect_share(grid, machine)) for grid in grids]
     stated = [values for name, values in rows().items() if name.startswith(("largest", "rms", "CROSS"))]
     np.testing.assert_allclose(np.array(stated).T, columns, atol=0.0051)
+
+
+def test_the_error_of_the_mesh_is_that_of_its_limit() -> None:
+    """The limit a of a + b/nᵖ, and how far below it the largest displacements of the shipped grid are."""
+    found = re.findall(r"^\| along ([YZ]) \|" + r" ([\d.]+) \|" * 5 + "$", PAGE, re.MULTILINE)
+    said = re.search(r"are about (\d) % and (\d) % too small", PAGE)
+    assert said is not None
+    assert len(found) == 2
+    for (axis, *numbers), percent in zip(found, said.groups(), strict=True):
+        _, two, three, four, limit = map(float, numbers)
+        assert two == rows()[f"largest displacement along {axis}"][1]
+        order = brentq(lambda p, a=two, b=three, c=four: (b - a) * (3**-p - 4**-p) - (c - b) * (2**-p - 3**-p), 0.5, 4)
+        expected = four + (four - three) / (3**-order - 4**-order) * 4**-order
+        assert limit == pytest.approx(expected, abs=0.15)  # the order is known to the rounding of the differences
+        assert int(percent) == round(100 * (1 - two / expected))
 
 
 def test_the_column_of_the_textbook(machine: MachineDescription, structure: StructureSection) -> None:
