@@ -97,6 +97,27 @@ def test_an_abort_is_sent_before_anything_is_read_again(chromium: Browser, house
             silent[0].fulfill(json={"taken": True})
 
 
+def test_an_abort_while_a_file_is_fetched_lets_it_arrive_later(chromium: Browser, house: Service) -> None:
+    with told(chromium, house) as (page, _):
+        asked: list[Route] = []
+
+        def answer(route: Route) -> None:
+            asked.append(route)
+            if len(asked) > 1:
+                route.fulfill(content_type="application/zip", body=b"PK")
+
+        page.route("**/api/abort", lambda route: route.fulfill(json={"taken": True}))
+        page.route("**/api/diagnostics", answer)
+        page.click("#tab-engineer")
+        page.click("#section-reports")
+        with page.expect_request("**/api/diagnostics"):
+            page.click("#diagnostics")
+        with page.expect_download() as fetched:
+            page.click("#abort")
+        assert fetched.value.path().read_bytes() == b"PK"
+        assert len(asked) == 2
+
+
 def test_the_reason_of_an_abort_is_kept_in_english_and_told_in_each_language(chromium: Browser, house: Service) -> None:
     with told(chromium, house, "de") as (page, _):
         page.route("**/api/abort", lambda route: route.fulfill(json={"taken": True}))
