@@ -22,7 +22,7 @@ _SQUARE_AXES = {"A": {"Y", "Z"}, "B": {"X", "Z"}, "C": {"X", "Y"}}
 """Axes that a squareness error about A, B or C turns towards each other."""
 _ROLLS = {"EAX", "EBY", "ECZ"}
 _HIGHEST_OF_SHIMS = 4
-"""Highest order of a Legendre series that shims at both ends of a guide and at three places between them change much."""
+"""Highest order of a Legendre series that shims at both ends of a guide and at three places between change much."""
 
 
 @dataclass(frozen=True)
