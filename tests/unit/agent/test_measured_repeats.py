@@ -21,7 +21,7 @@ def test_an_estimate_that_is_not_that_of_a_run_has_none(tmp_path: Path) -> None:
     assert found.not_measured == ("not measured: A, A±, E, R, R±, B: the estimate is not in the folder of a run",)
 
 
-AXES = [
+AXES: list[dict[str, object]] = [
     {"axis": "X", "lost_um": 3.0, "sigma_um": 0.4, "verdict": "within", "scatter_um": 0.8, "freedom": 13},
     {"axis": "Y", "lost_um": None, "sigma_um": None, "verdict": "could not be measured: a touch met nothing"},
     {"axis": "Z", "lost_um": -1.0, "sigma_um": 0.5, "verdict": "within"},
@@ -84,7 +84,7 @@ def test_a_scatter_of_too_few_touches_is_pooled_with_those_of_a_pole_or_not_stat
 ) -> None:
     """One touch from either side leaves one degree of freedom."""
     decisions: dict[str, dict[str, object]] = {
-        "probe/ball-00/reversal/reversal": {"axes": [AXES[0] | {"freedom": 1}], "at_mm": [100.0, 200.0, 300.0]}
+        "probe/ball-00/reversal/reversal": {"axes": [{**AXES[0], "freedom": 1}], "at_mm": [100.0, 200.0, 300.0]}
     }
     if touches:
         decisions["probe/ball-00/check/repeatability"] = {"two_sigma_um": 2.0, "touches": touches}
