@@ -233,18 +233,13 @@ def _forecast_text(rate: str, trend: Trend, forecast: LimitForecast) -> str:
     dates = [trend.date_reached(probability) for probability in (LOW, 0.5, HIGH)]
     low, middle, high = ("later" if date is None else f"{date:%Y-%m-%d}" for date in dates)
     tolerance = f"{forecast.limit:g} {trend.series.unit}"
-    share, nights = f"{100.0 * forecast.within(trend.nights_stated):.0f}", nights_text(trend.nights_stated)
+    share, nights = f"{100.0 * forecast.within(trend.nights_stated):.0f}", f"{trend.nights_stated:.3g}"
     if dates[1] is None:
         return f"{rate}: tolerance {tolerance} may be reached from {low} on (5 %), {share} % within {nights} nights"
     return (
         f"{rate}: tolerance {tolerance} will be reached about {middle} (5 to 95 %: {low} to {high}), {share} % within "
         f"{nights} nights"
     )
-
-
-def nights_text(nights: float) -> str:
-    """Return a number of nights, of which a horizon may be a fraction, with three digits."""
-    return f"{nights:.3g}"
 
 
 def _control_alarm(series: Series, chart: IndividualsChart | None, smoothed: EwmaChart | None) -> Iterable[TrendAlarm]:
