@@ -41,7 +41,7 @@ CERTIFICATE = rf"""<?xml version="1.0" encoding="UTF-8"?>
 </dcc:digitalCalibrationCertificate>
 """.encode()
 
-_UNITS = (rb"\pico\metre\tothe{-99}", rb"\kilo\metre\tothe{4}\per\kilo\metre\tothe{3}", rb"\metre\tothe{2}\per\metre")
+_UNITS = (rb"\milli\metre\tothe{1}", rb"\milli\metre\tothe{2}\per\milli\metre")
 
 
 def certificate_decoders() -> Iterator[Decoder]:
