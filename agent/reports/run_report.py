@@ -19,6 +19,7 @@ import numpy as np
 
 from agent.execution.journal_rows import EventRow
 from agent.execution.run_record import RunRecord
+from agent.execution.stored_gates import gate_records
 from agent.files import translated
 from agent.language.records import record_in_words
 from agent.language.sentences import as_it_is
@@ -48,7 +49,6 @@ from agent.results.homing_scatter import HomingScatter, after_homing_text
 from agent.results.run_outcome import Decision
 from agent.results.run_requester import BY, requester_of
 from agent.results.run_verdict import RunVerdict, run_figures, verdict_of
-from agent.results.stored_gates import gate_records
 from agent.results.travel_parts import TravelParts
 from agent.settings.report import ReportSettings
 from agent.settings.schema import TableSettings

@@ -39,7 +39,7 @@ from agent.results.gates import (
 from agent.results.night_changes import drift_text
 from agent.results.night_gate import night_document, night_gate, night_text
 from agent.results.table_replacement import ExpectedGain
-from agent.runs.replaced_results import ESTIMATE_FILE, IDENTIFY, replaced_results
+from agent.runs.result_files import ESTIMATE_FILE, IDENTIFY, replaced_results
 from agent.settings.schema import GateSettings, Order, TableSettings, VerificationSettings
 from agent.thermal.thermometer import ThermometerStatement
 from drivers.errors import ConfigurationError, InputError

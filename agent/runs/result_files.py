@@ -1,9 +1,13 @@
-"""Result files of a run (ball centres, estimate, table, report); each file is complete or absent."""
+"""Result files of a run, or of an identification from files: ball centres, estimate, table and report. Each file is
+complete or absent."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 
 from agent.execution.run_record import read_record
 from agent.files import write_all_atomically
@@ -19,6 +23,11 @@ from twin.compensation.table_file import format_side_file, format_table
 from twin.formats.ball_file import format_balls
 
 REPORT = "report.html"
+IDENTIFY = "identify-"
+"""Begin of the identity of an identification from files."""
+ESTIMATE_FILE = "estimate.json"
+_ORIGIN_BYTES = 4096  # the origin stands at the begin of an estimate file
+_BY_IDENTIFY = re.compile(rb'"run_id":\s*"' + IDENTIFY.encode())
 
 
 def write_results(job: Job, outcome: Outcome, progress: RunResults, report: Mapping[str, str | bytes]) -> Outcome:
@@ -54,3 +63,19 @@ def _results(
         "table.json": format_side_file(table),
         **calibration_texts(calibration, job.artefact, run_id, origin["time"], job.machine.name),
     }
+
+
+def replaced_results(folder: Path, names: Iterable[str], inputs: Iterable[Path]) -> tuple[str, ...]:
+    """Return those of the files `names` in `folder` that an earlier identification from files has written.
+
+    If the estimate beside them is that of a run on a machine, or if there is none, they are the user's: none is
+    returned. Nor are the files that the new identification reads, `inputs`, and those whose names begin like that of
+    such a file: an artefact file reads a file with its covariance.
+    """
+    origin = b""
+    with suppress(OSError), (folder / ESTIMATE_FILE).open("rb") as file:
+        origin = file.read(_ORIGIN_BYTES)
+    if _BY_IDENTIFY.search(origin) is None:
+        return ()
+    read = {path.stem for path in inputs if path.resolve().parent == folder.resolve()}
+    return tuple(name for name in names if not any(name.startswith(stem) for stem in read))

@@ -181,9 +181,9 @@ def test_balls_that_are_never_answered_are_asked_for_again(chromium: Browser, ho
 def test_what_happens_while_the_run_is_read_stays_beside_what_the_journal_has(
     chromium: Browser, house: Service
 ) -> None:
-    live = [
+    live: list[tuple[str, str, dict[str, Any]]] = [
         ("state", "measuring", {"state": "measuring", "run_id": RUN}),
-        ("alarm", ALARM["text"], ALARM),
+        ("alarm", str(ALARM["text"]), ALARM),
         ("gate", "the fit is worse than its limit", {}),
     ]
     rows = [

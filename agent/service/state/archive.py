@@ -12,10 +12,10 @@ from typing import Any
 from agent.errors import JournalFailed
 from agent.execution.journal_reader import ANY_RUN, JournalReader, has_journal, open_journal
 from agent.execution.journal_rows import RunCounts, RunRow, TableRow
+from agent.execution.stored_gates import gate_records
 from agent.execution.stored_json import stored_json
 from agent.results.decision_kinds import OUTCOME
 from agent.results.run_verdict import run_figures, verdict_of
-from agent.results.stored_gates import gate_records
 from drivers.errors import InputError
 
 Document = dict[str, Any]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ def test_an_estimate_that_is_not_that_of_a_run_has_none(tmp_path: Path) -> None:
     assert found.not_measured == ("not measured: A, A±, E, R, R±, B: the estimate is not in the folder of a run",)
 
 
-AXES: list[dict[str, object]] = [
+AXES: list[dict[str, Any]] = [
     {"axis": "X", "lost_um": 3.0, "sigma_um": 0.4, "verdict": "within", "scatter_um": 0.8, "freedom": 13},
     {"axis": "Y", "lost_um": None, "sigma_um": None, "verdict": "could not be measured: a touch met nothing"},
     {"axis": "Z", "lost_um": -1.0, "sigma_um": 0.5, "verdict": "within"},
@@ -45,7 +46,7 @@ def a_run(state: Path, decisions: dict[str, dict[str, object]]) -> Path:
 
 def test_each_axis_gets_what_was_measured_of_it(tmp_path: Path) -> None:
     reversal = {"axes": AXES, "at_mm": [100.0, 200.0, 300.0], "text": "", "limit_um": 5.0}
-    decisions: dict[str, dict[str, object]] = {
+    decisions: dict[str, dict[str, Any]] = {
         "probe/ball-00/check/repeatability": dict(REPEATABILITY),
         "probe/ball-00/reversal/reversal": dict(reversal),
     }
@@ -83,7 +84,7 @@ def test_a_scatter_of_too_few_touches_is_pooled_with_those_of_a_pole_or_not_stat
     tmp_path: Path, touches: int, expected: AxisRepeats
 ) -> None:
     """One touch from either side leaves one degree of freedom."""
-    decisions: dict[str, dict[str, object]] = {
+    decisions: dict[str, dict[str, Any]] = {
         "probe/ball-00/reversal/reversal": {"axes": [{**AXES[0], "freedom": 1}], "at_mm": [100.0, 200.0, 300.0]}
     }
     if touches:

@@ -22,6 +22,7 @@ from agent.settings.schema import RELOCATION_BY_HAND_MINUTES
 from agent.studies import ball_count, misalignment, strategy, trajectory, volumetric_error
 from agent.studies.identification_variants import PUBLISHED, UNWEIGHTED, identification_variants
 from agent.studies.measure import ALIGNED, share_of_gain
+from agent.studies.monte_carlo import SimulatedMachine
 from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant, Verdict
 from agent.studies.study import StudyCase
 from agent.studies.study_files import document, format_rows, write_result
@@ -196,8 +197,11 @@ class TestWorth:
         grid, squares = evaluation_grid(made.machine.model.ranges_mm), []
         for number in range(2):
             truth = draw_truth(made.assumptions, generator(made.seed, number), made.tool_offset)
-            estimate = evaluator.procedure(trial, variants[0])(number).estimate
-            left = truth.deviation(grid) - exact_deviation(made.machine.model, grid, made.tool_offset, estimate)
+            identified = evaluator.procedure(trial, variants[0])(number)
+            assert isinstance(identified, SimulatedMachine)
+            left = truth.deviation(grid) - exact_deviation(
+                made.machine.model, grid, made.tool_offset, identified.estimate
+            )
             squares.append(rms_um(left) ** 2)
         assert found.simulated is not None
         assert found.simulated.raw_um == pytest.approx(math.sqrt(np.mean(squares)), abs=5 * NANOMETRE_UM)

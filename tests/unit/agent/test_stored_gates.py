@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
+from agent.execution.stored_gates import gate_records
 from agent.language.sentences import german
-from agent.results.stored_gates import gate_records
 
 LARGEST = "largest contradiction of a ball with its certificate, in standard deviations: ball 3"
 WRONG = (

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.runs.replaced_results import replaced_results
+from agent.runs.result_files import replaced_results
 
 NAMES = ("report.html", "table.csv", "artefact.toml", "artefact-covariance.csv")
 
