@@ -120,7 +120,7 @@ def test_the_axes_of_the_geometric_errors_have_their_unit_and_only_the_latest_st
         full_of_rows(page)
         page.click("#tab-engineer")
         page.click("#section-parameters")
-        steps = page.locator("#content .steps")
+        steps = page.locator("#content .latest-steps")
         expect(steps.locator("span")).to_have_text(["-1.5 on 2026-11-25", "-1.5 on 2026-11-24"])
         expect(steps).to_contain_text("and 3 earlier")
         labels = page.evaluate(

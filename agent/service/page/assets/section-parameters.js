@@ -39,7 +39,7 @@ function row(trend, choose) {
 /* The latest steps, each in a line of its own, and how many there were before them. */
 function latestOf(steps, trend) {
   const shown = steps.slice(-STEPS_SHOWN).reverse(), earlier = steps.length - shown.length;
-  return make("div", { className: "steps" }, ...shown.map(({ night, size }) =>
+  return make("div", { className: "latest-steps" }, ...shown.map(({ night, size }) =>
     make("span", {}, say("parameters.step", { date: day(dateOf(trend, night)), size: number(size, 1) }))),
   earlier ? make("small", {}, say("parameters.earlier", { count: number(earlier, 0) })) : null);
 }
