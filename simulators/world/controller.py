@@ -375,7 +375,9 @@ class Controller:
         complete = not interrupted and forecast.law.end_distance >= command.path.length - 1e-9
         self._position = command.target if complete else command.path.at(forecast.law.end_distance)
         self._motion = None
-        self._deflected = forecast.trip_s is not None or (self._deflected and forecast.end_s < forecast.free_s)
+        # by the distance: a motion that is halted at its start ends at the instant at which it would begin to separate
+        still = self._deflected and forecast.law.end_distance < motion.events.free_mm
+        self._deflected = forecast.trip_s is not None or still
         self.touch_missed = command.kind is MoveKind.TOUCH and complete
         self._state = motion.ends_in
         if forecast.crash is not None:

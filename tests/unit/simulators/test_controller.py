@@ -214,6 +214,22 @@ def test_a_tip_that_was_held_in_contact_before_the_trip_trips_as_it_goes_on(guar
         assert controller.latch.position == pytest.approx(centre - FORWARD * (REACH - 0.1), abs=1e-9)
 
 
+def test_a_probe_stays_deflected_if_its_way_back_is_halted_at_the_start() -> None:
+    world = ideal_world()
+    centre, controller = before_ball(world, 5), world.controller
+    controller.begin_touch(centre, 5.0)
+    run(world)
+    assert controller.probe_deflected
+    controller.begin_move(centre - FORWARD * 60.0, None, guarded=True)
+    controller.halt()
+    assert motion_state(world) is MotionState.IDLE
+    assert controller.probe_deflected
+    controller.begin_move(centre - FORWARD * 60.0, None, guarded=True)
+    run(world)
+    assert not controller.probe_deflected
+    assert world.collisions == []
+
+
 def test_a_tip_in_contact_before_the_trip_is_no_obstacle_to_itself() -> None:
     """It backs off freely, and a positioning move that presses on is a collision at once."""
     for away in (True, False):
