@@ -309,7 +309,5 @@ def _dates_text(trend: Trend) -> str:
     forecast, reach = trend.forecast, trend.crossing
     if forecast is None:
         return "" if reach is None else f"in {reach.expected:.0f} (≥ {reach.earliest:.0f}) nights"
-    low, middle, high = (
-        "later" if date is None else f"{date:%Y-%m-%d}" for date in map(trend.date_reached, (0.05, 0.5, 0.95))
-    )
+    low, middle, high = trend.days_reached
     return middle if low == "later" else f"{middle} ({low} to {high})"

@@ -93,6 +93,17 @@ class Trend:
         nights = None if self.forecast is None else self.forecast.nights_to(probability)
         return None if nights is None else self.series.date(float(self.series.nights[-1]) + nights)
 
+    @property
+    def dates_reached(self) -> tuple[datetime | None, datetime | None, datetime | None]:
+        """UTC times by which the tolerance is reached with 5 %, 50 % and 95 %, None where the forecast names none."""
+        return self.date_reached(LOW), self.date_reached(0.5), self.date_reached(HIGH)
+
+    @property
+    def days_reached(self) -> tuple[str, str, str]:
+        """Days of `dates_reached` in words; "later" where the forecast names none."""
+        low, middle, high = ("later" if date is None else f"{date:%Y-%m-%d}" for date in self.dates_reached)
+        return low, middle, high
+
     def as_json(self) -> dict[str, Any]:
         """Return the trend as a mapping to be written as JSON. The keys are described in docs/reference/json.md."""
         series, drift, chart, reach = self.series, self.drift, self.chart, self.crossing
@@ -122,7 +133,6 @@ class Trend:
         forecast = self.forecast
         if forecast is None:
             return None
-        dates = [self.date_reached(probability) for probability in (LOW, 0.5, HIGH)]
         course = {
             name: getattr(forecast, name).round(_COURSE_DIGITS).tolist()
             for name in ("nights", "probability", "low", "middle", "high")
@@ -132,7 +142,7 @@ class Trend:
             "within_nights": self.nights_stated,
             "probability": round(forecast.within(self.nights_stated), _COURSE_DIGITS),
             "horizon_nights": forecast.horizon,
-            "dates": [None if date is None else f"{date:%Y-%m-%d}" for date in dates],
+            "dates": [None if date is None else f"{date:%Y-%m-%d}" for date in self.dates_reached],
             "nights_to": [forecast.nights_to(probability) for probability in (LOW, 0.5, HIGH)],
             "course": course,
         }
@@ -159,10 +169,9 @@ def _drift(series: Series) -> Drift | None:
     """Return the drift. Return None if there are too few nights for a fit, or if the standard uncertainties are not
     stated and there are too few nights to estimate the repeatability.
     """
-    relative = series.sigmas if series.stated else np.ones_like(series.values)
     try:
-        steps = find_steps(series.nights, series.values, relative, series.steps)
-        drift = fit_drift(series.nights, series.values, relative, steps)
+        steps = find_steps(series.nights, series.values, series.sigmas, series.steps)
+        drift = fit_drift(series.nights, series.values, series.sigmas, steps)
     except DataError:
         return None
     return drift if series.stated or drift.freedom >= MIN_FREEDOM_FOR_SCALE else None
@@ -174,8 +183,9 @@ def _forecast(series: Series, drift: Drift) -> LimitForecast | None:
     if series.tolerance is None or _is_at(series, series.tolerance):
         return None
     steps = [at for at, _, _ in drift.steps]
-    sigmas = series.sigmas if series.stated else np.ones_like(series.values)
-    return forecast_limit(series.nights, series.values, sigmas, series.tolerance, steps, two_sided=series.two_sided)
+    return forecast_limit(
+        series.nights, series.values, series.sigmas, series.tolerance, steps, two_sided=series.two_sided
+    )
 
 
 def _is_at(series: Series, tolerance: float) -> bool:
@@ -230,11 +240,10 @@ def _rate_text(series: Series, drift: Drift) -> str:
 def _forecast_text(rate: str, trend: Trend, forecast: LimitForecast) -> str:
     """Return `rate`, the drift in words, and when the tolerance is reached, with the range of dates and the probability
     within the nights for which it is stated. No middle of the range is named beyond the horizon."""
-    dates = [trend.date_reached(probability) for probability in (LOW, 0.5, HIGH)]
-    low, middle, high = ("later" if date is None else f"{date:%Y-%m-%d}" for date in dates)
+    low, middle, high = trend.days_reached
     tolerance = f"{forecast.limit:g} {trend.series.unit}"
     share, nights = f"{100.0 * forecast.within(trend.nights_stated):.0f}", f"{trend.nights_stated:.3g}"
-    if dates[1] is None:
+    if trend.date_reached(0.5) is None:
         return f"{rate}: tolerance {tolerance} may be reached from {low} on (5 %), {share} % within {nights} nights"
     return (
         f"{rate}: tolerance {tolerance} will be reached about {middle} (5 to 95 %: {low} to {high}), {share} % within "

@@ -39,7 +39,7 @@ from agent.results.gates import (
 from agent.results.night_changes import drift_text
 from agent.results.night_gate import night_document, night_gate, night_text
 from agent.results.table_replacement import ExpectedGain
-from agent.runs.result_files import ESTIMATE_FILE, IDENTIFY, replaced_results
+from agent.runs.result_files import ESTIMATE_FILE, IDENTIFY, REPORT, replaced_results
 from agent.settings.schema import GateSettings, Order, TableSettings, VerificationSettings
 from agent.thermal.thermometer import ThermometerStatement
 from drivers.errors import ConfigurationError, InputError
@@ -62,7 +62,6 @@ NO_STORE = StoreLimits((), (0, 0, 0), 0, 0.0, float("inf"), Activation.IMMEDIATE
 """Limits that never apply, for a table that is written to a file only."""
 
 TABLE_FILES = ("table.csv", "table.json")
-REPORT_FILE = "report.html"
 
 DEFAULT_GATES = GateSettings()
 """Limits if no settings file states any."""
@@ -212,13 +211,13 @@ def identify_files(request: IdentificationRequest, timestamp: str) -> Identifica
         estimation=estimation,
         gates=gates,
         table_file=request.out / TABLE_FILES[0],
-        report=request.out / REPORT_FILE if request.with_report else None,
+        report=request.out / REPORT if request.with_report else None,
         even_so=request.even_so,
     )
     texts = _texts(result, request)
     inputs = (request.balls, request.machine, request.artefact)
     # Whoever wrote a table: beside an estimate that permits none, it would be taken for the table of this estimate.
-    former = (*TABLE_FILES, *replaced_results(request.out, (REPORT_FILE, *CALIBRATION_FILES), inputs))
+    former = (*TABLE_FILES, *replaced_results(request.out, (REPORT, *CALIBRATION_FILES), inputs))
     write_all_atomically(request.out, texts, (name for name in former if name not in texts))
     return result
 
@@ -379,7 +378,7 @@ def _texts(result: IdentificationResult, request: IdentificationRequest) -> dict
     if request.with_report:
         from agent.reports.page.render import render_report  # noqa: PLC0415  refused input does not wait for matplotlib
 
-        texts[REPORT_FILE] = render_report(_report_data(result, request, checksum(table) if result.has_table else ""))
+        texts[REPORT] = render_report(_report_data(result, request, checksum(table) if result.has_table else ""))
     texts |= calibration_texts(
         estimate.artefact_calibration,
         result.material.artefact,

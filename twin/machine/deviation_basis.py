@@ -46,6 +46,20 @@ def deviation_basis(
     return basis
 
 
+def deviation_basis_of_tools(
+    model: ErrorModel, axis_positions: Array, tool: ColumnIndices, tool_offsets: Array, scale: Array | None = None
+) -> Array:
+    """Return the derivative (n, 3, p) as `deviation_basis` does, if each of the n rows was measured with its own tool.
+
+    `tool` (n,) is an index into the `tool_offsets` (T, 3).
+    """
+    basis = np.empty((len(axis_positions), 3, model.size))
+    for number in np.unique(tool):
+        rows = tool == number
+        basis[rows] = deviation_basis(model, axis_positions[rows], tool_offsets[number], scale)
+    return basis
+
+
 def linear_deviation(
     model: ErrorModel, axis_positions: ArrayLike, tool_offset: ArrayLike, parameters: ArrayLike
 ) -> Array:

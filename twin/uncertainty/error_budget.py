@@ -25,8 +25,8 @@ from twin.artefact.observations import Observations
 from twin.errors import DataError
 from twin.identification.options import Options
 from twin.identification.problem import IdentificationProblem, build_problem
+from twin.machine.deviation_basis import deviation_basis_of_tools
 from twin.machine.error_model import ErrorModel
-from twin.machine.forward_model import deviation_basis
 from twin.machine.machine_population import Family
 from twin.machine.volumetric import VolumetricRms
 from twin.uncertainty.linear_estimator import LinearEstimator
@@ -240,12 +240,7 @@ def _machine_fields(field: FieldForm, seen: Observations) -> Array:
     family."""
     family = field.assumptions.family
     scale = family.prior_standard_deviation
-    fields = np.empty((seen.size, 3, family.model.size))
-    for tool in np.unique(seen.tool):
-        rows = seen.tool == tool
-        offset = seen.tool_offsets[tool]
-        fields[rows] = deviation_basis(family.model, seen.axis_positions[rows], offset, scale)
-    return fields
+    return deviation_basis_of_tools(family.model, seen.axis_positions, seen.tool, seen.tool_offsets, scale)
 
 
 def _deflection_field(assumptions: TruthAssumptions, seen: Observations) -> Array:

@@ -21,8 +21,8 @@ from twin.arrays import Array
 from twin.artefact.observations import Observations
 from twin.artefact.touch_pattern import determines_radius, perpendiculars
 from twin.errors import DataError
+from twin.machine.deviation_basis import deviation_basis_of_tools
 from twin.machine.error_model import ErrorModel
-from twin.machine.forward_model import deviation_basis
 from twin.thermal.growth_and_bending import SECOND_REGRESSOR_SHARE, GrowthAndBending
 from twin.thermal.machine_drift import DriftPrior
 
@@ -103,10 +103,7 @@ class WarmingEffect:
         drift = GrowthAndBending(self.prior).unknowns(model, 2, np.ones(model.size, dtype=np.bool_))
         progress = np.arange(planned.size) / max(planned.size - 1, 1)
         regressors = self.rise_k * np.stack([progress, SECOND_REGRESSOR_SHARE * progress**2], axis=1)
-        basis = np.empty((planned.size, 3, model.size))
-        for tool in np.unique(planned.tool):
-            rows = planned.tool == tool
-            basis[rows] = deviation_basis(model, planned.axis_positions[rows], planned.tool_offsets[tool])
+        basis = deviation_basis_of_tools(model, planned.axis_positions, planned.tool, planned.tool_offsets)
         kinds = [model.parameters[index].kind for index in drift.parameter_indices] + [_GROWING] * 3
         grows = np.array([kind == _GROWING for kind in kinds])[drift.form]
         return drift.columns(basis, regressors)[:, :, grows != self.bends]
