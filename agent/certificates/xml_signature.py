@@ -164,9 +164,10 @@ def _embedded(signature: etree._Element, source: str) -> list[x509.Certificate]:
         )
     try:
         return [
-            x509.load_pem_x509_certificate(
-                f"-----BEGIN CERTIFICATE-----\n{''.join((one.text or '').split())}\n-----END CERTIFICATE-----\n".encode(
-                    "ascii"
+            _readable(
+                x509.load_pem_x509_certificate(
+                    f"-----BEGIN CERTIFICATE-----\n{''.join((one.text or '').split())}\n"
+                    "-----END CERTIFICATE-----\n".encode("ascii")
                 )
             )
             for one in held
@@ -176,9 +177,18 @@ def _embedded(signature: etree._Element, source: str) -> list[x509.Certificate]:
         raise InputError(f"the certificate of the signer cannot be read: {told}", file=source) from None
 
 
+def _readable(certificate: x509.Certificate) -> x509.Certificate:
+    """Return the certificate. Raises ValueError if its names or its validity cannot be read: the library looks into
+    these fields only when they are asked for."""
+    for name in (certificate.subject, certificate.issuer):
+        name.rfc4514_string()
+    _ = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+    return certificate
+
+
 def _certificates(path: Path) -> list[x509.Certificate]:
     try:
-        return x509.load_pem_x509_certificates(path.read_bytes())
+        return [_readable(one) for one in x509.load_pem_x509_certificates(path.read_bytes())]
     except OSError as error:
         raise InputError(f"the file cannot be read: {error.strerror or error}", file=str(path)) from None
     except (ValueError, UnsupportedAlgorithm):

@@ -159,7 +159,8 @@ def _moved_after_stop(night: NightRecord) -> str:
 def _incomplete_table(night: NightRecord) -> str:
     if not night.complete_table:
         return "the active bank is empty"
-    if night.active not in (night.former, *night.written) and not left_to_a_person(night):
+    strange = night.active not in (night.former, *night.written)
+    if strange and not left_to_a_person(night) and not cannot_be_seen(night):
         return f"table {night.active:08x} is neither the former one nor one that was written"
     return "" if night.former_intact else "the bank of the former table was changed"
 

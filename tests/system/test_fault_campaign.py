@@ -142,6 +142,10 @@ def test_what_nothing_could_show_is_counted_with_its_reason_and_must_be_said_in_
     assert violations(repaired) == {}
     assert violations(replace(repaired, morning=NEW)).keys() > {"former table or a proved one"}
     assert summarise([replace(RESTORED, unseen=why)])["cannot_be_seen"] == {}
+    resumed = replace(unseen, morning=None, morning_says="", later=PROVED)
+    assert violations(resumed) == {}
+    assert violations(replace(resumed, unseen="")).keys() >= {"compensation restored", "active table complete"}
+    assert "former table or a proved one" in violations(replace(resumed, later=replace(PROVED, accepted=False)))
 
 
 def test_a_table_may_be_worse_only_by_what_wrong_readings_of_a_thermometer_explain() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import datetime
 from pathlib import Path
 
@@ -97,6 +98,28 @@ def test_what_was_changed_is_refused_whoever_is_trusted(old: bytes, new: bytes, 
         with pytest.raises(InputError) as caught:
             check_signature(signed.replace(old, new), "d.xml", trusted)
         assert caught.value.where["file"] == "d.xml"
+
+
+def test_a_certificate_whose_name_is_no_text_is_refused(tmp_path: Path) -> None:
+    """Its key still belongs to the signature, which does not cover it."""
+    signed = etree.fromstring(signed_by(LABORATORY, tmp_path))
+    damaged = LABORATORY.certificate.public_bytes(Encoding.DER).replace(b"Laboratory", b"Laborator\xff")
+    held = signed.find(f".//{{{DS}}}X509Certificate")
+    assert held is not None
+    held.text = base64.b64encode(damaged).decode("ascii")
+    with pytest.raises(InputError, match="the certificate of the signer cannot be read") as caught:
+        check_signature(etree.tostring(signed), "d.xml")
+    assert caught.value.where["file"] == "d.xml"
+
+
+def test_a_file_of_signers_whose_name_is_no_text_is_refused(tmp_path: Path) -> None:
+    damaged = LABORATORY.certificate.public_bytes(Encoding.DER).replace(b"Laboratory", b"Laborator\xff")
+    path = tmp_path / "damaged.pem"
+    body = base64.encodebytes(damaged).decode("ascii")
+    path.write_text(f"-----BEGIN CERTIFICATE-----\n{body}-----END CERTIFICATE-----\n", encoding="ascii")
+    with pytest.raises(InputError, match="no certificate") as caught:
+        check_signature(signed_by(LABORATORY, tmp_path), "d.xml", [path])
+    assert caught.value.where["file"] == str(path)
 
 
 def test_a_comment_does_not_hide_a_part_of_what_was_signed(tmp_path: Path) -> None:
