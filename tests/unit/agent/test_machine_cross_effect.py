@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+import pytest
 from volcal_command import volcal
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -66,6 +68,24 @@ def test_an_order_that_is_too_low_for_the_sag(tmp_path: Path) -> None:
         assert result.stdout == "bridge: no cross-effect\n"
         assert ("warning: EZY has the order 5, but its beams need the order 6" in result.stderr) is warned
         assert result.stderr.count("\n") == warned
+
+
+def test_the_shipped_gantry() -> None:
+    """Roll of the portal by the textbook formulas of a beam on two supports, with a force and a moment at one place."""
+    printed = volcal("config", "machine", "--case", "bridge", "--machine", ROOT / "config" / "machines" / "gantry.toml")
+    rows = cells(printed.stdout)
+    length_mm, weight_n, bending_n_mm2 = 3800.0, 2000.0 * 9.80665, 210e3 * 6.0e9
+    before_mm = np.linspace(400.0, 3400.0, 3001)
+    beyond_mm = length_mm - before_mm
+    by_force = weight_n * before_mm**2 * beyond_mm**2 / (3.0 * bending_n_mm2 * length_mm)
+    by_moment = weight_n * 150.0 * before_mm * beyond_mm * (beyond_mm - before_mm) / (3.0 * bending_n_mm2 * length_mm)
+    moved_share = 2.0 * 2000.0 / 2600.0  # of the weight, from one rail to the other while Y travels through its range
+    # whatever the sign of the moment: the rail is symmetrical
+    roll_urad = 1e6 * np.abs(by_force + by_moment).max() * moved_share / 2600.0
+    assert abs(float(rows["CROSS[left.EAX]"][3])) == pytest.approx(roll_urad, rel=5e-3)
+    assert rows["CROSS[left.EAX]"][:2] == ["left, right", "EAX"]
+    assert {"CROSS[left.EZX]", "CROSS[left.EBX]", "CROSS[right.EBX]"} < set(rows)
+    assert printed.stderr == ""
 
 
 def test_machines_without_beams() -> None:
