@@ -15,7 +15,8 @@ from datetime import datetime
 import structlog
 
 from agent.history.retention import compact, due_runs
-from agent.service.owner.owner import READING_LIMIT_S, Owner
+from agent.service.owner.machine_use import READING_LIMIT_S
+from agent.service.owner.owner import Owner
 from agent.service.owner.process_heap import release_free_memory
 from drivers.clock import utc_timestamp
 from drivers.errors import InputError, VolcalError
@@ -50,7 +51,7 @@ def idle_reading(owner: Owner) -> Iterator[None]:
                     owner.read_idle()
                 except Exception:  # the display must not end with one reading
                     log.exception("the idle machine could not be read")
-            going_on = owner.await_change(period_s or OFF_S)
+            going_on = owner.use.await_change(period_s or OFF_S)
 
     thread = threading.Thread(target=work, name="idle-reader", daemon=True)
     thread.start()
@@ -71,7 +72,7 @@ def tidy_up(owner: Owner) -> None:
     try:
         due = due_runs(directory, owner.settings.history, datetime.fromisoformat(utc_timestamp()))
         for row in due[:MOST_COMPACTED]:
-            with owner.while_idle("an old run is being compacted") as idle:
+            with owner.use.between_runs("an old run is being compacted") as idle:
                 if not idle:
                     break
                 try:

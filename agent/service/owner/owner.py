@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from queue import Queue
 
 import structlog
 
-from agent.errors import Busy, NotAllowedInState, PlanRefused
+from agent.errors import NotAllowedInState, PlanRefused
 from agent.execution.states import RunState
 from agent.model_files import load_machine
 from agent.planning.job import Job
@@ -29,10 +29,12 @@ from agent.runs.session import RunResult, new_run_id
 from agent.service import allowed_requests
 from agent.service.alarms import alarm_of
 from agent.service.control import MAX_REASON, Alarm, Event, Status
+from agent.service.owner.machine_use import MachineUse
 from agent.service.owner.owner_parts import OwnerParts
 from agent.service.owner.questions import Questions
 from agent.service.owner.run_hooks import RunHooksFactory, night_slot
 from agent.service.owner.run_mailbox import RunMailbox
+from agent.service.owner.table_comparison import TableComparison
 from agent.service.owner.unattended import minutes_until_end, require_permission, require_warm
 from agent.service.state.status_board import IdleStatus
 from agent.settings.load import naming
@@ -40,9 +42,6 @@ from agent.settings.schema import Settings
 from drivers.errors import PermissionMissing, StoreError, UserError, VolcalError
 
 log = structlog.get_logger()
-
-READING_LIMIT_S = 30.0
-"""Longest time in s that a request waits for a reading of the idle machine, or for the compaction of an old run."""
 
 
 class Owner:
@@ -54,11 +53,8 @@ class Owner:
         self._board = parts.board
         self._questions = Questions(self._board.show_question)
         self._hooks = RunHooksFactory(parts, self._questions)
-        self._changed = threading.Condition(threading.RLock())
-        self._running: RunMailbox | None = None
-        self._closing = False
-        self._reconciled = False
-        self._idle_work = ""
+        self._comparison = TableComparison(parts)
+        self.use = MachineUse()
         self._board.show_idle(replace(self._idle_status(), active_bank=None))  # not known before it is read
         left = parts.journal_state.unacknowledged_end()
         if left is not None:
@@ -96,7 +92,7 @@ class Owner:
             kind = kind_of(request, slot_minutes=night_slot(request, self.settings.nightly, slot))
             hooks = self._hooks.hooks(running, job.settings.clock, attended=request.consent, slot_minutes=slot)
         except BaseException as error:
-            self._release()
+            self.use.release()
             if isinstance(error, VolcalError):
                 self._note_not_started(request, error)
             raise
@@ -108,12 +104,12 @@ class Owner:
         stored_table(self.settings.state_directory, run_id, role)
         running = self._reserve()
         try:
-            self.reconcile()
-            self._require_proved_table()
+            self._comparison.make(self.settings)
+            self._comparison.require_proved_table()
             kind = Restoration(run_id, next(known for known in TABLE_ROLES if known == role))
             hooks = self._hooks.hooks(running, job.settings.clock, attended=True)
         except BaseException:
-            self._release()
+            self.use.release()
             raise
         asked = {"source": source, "of_run": run_id, "role": role}
         return self._begin(running, job, kind, hooks, source, asked, by)
@@ -121,12 +117,12 @@ class Owner:
     def resume_run(self, source: Source, by: str = "") -> str:
         running = self._reserve()
         try:
-            self.reconcile()
+            self._comparison.make(self.settings)
             origin = resumable_origin(self.settings.state_directory)
             running.run_id = origin.run_id
             hooks = self._hooks.hooks(running, self.settings.clock, attended=True)
         except BaseException:
-            self._release()
+            self.use.release()
             raise
         asked = {"source": source, "resumed": True, **named(by)}
         position_set = origin.settings.procedure.position_set
@@ -147,9 +143,9 @@ class Owner:
     def _settle(self, what: str, by: str, act: Callable[[Settings, Path], Reconciliation]) -> None:
         """Carry out a way out of an unproved table or of an unfinished run that needs no run. Raise StoreError if the
         table is still active, or if the run that is given up is still unfinished."""
-        with self._changed:
-            self._await_reading()  # first, since it releases the lock
-            self._require_nothing_runs()
+        with self.use.lock:
+            self.use.await_work()  # first, since it releases the lock
+            self.use.require_no_run()
             self._require(
                 what,
                 "it is allowed between runs, after a reset, while a table is active that was never proved; "
@@ -158,7 +154,7 @@ class Owner:
             self._note(_SETTLING[what], by)
             given_up = self._board.status().unfinished
             found = act(self.settings, self._parts.config.parent)
-            self._show(found)
+            self._comparison.show(found)
             if found.unproved is not None:
                 refused = f": {found.refused}" if found.refused else ""
                 raise StoreError(f"{found.unproved.situation}{refused}", hint=found.instruction)
@@ -181,13 +177,14 @@ class Owner:
         self._on_running(lambda running: running.abort(said), f"abort requested: {said}", "")
 
     def reset(self, by: str = "") -> None:
-        with self._changed:
-            self._await_reading()
-            self._require_nothing_runs()
+        with self.use.lock:
+            self.use.await_work()
+            self.use.require_no_run()
             if self._board.state in allowed_requests.STICKY or self._board.status().alarms:
                 self._parts.journal_state.acknowledge(self._board.status().run_id, by)
             if self._board.state is not RunState.IDLE or self._board.status().alarms:
-                self._reconciled = self._reconciled and not self._board.status().alarms  # its cause may still stand
+                if self._board.status().alarms:
+                    self._comparison.repeat()  # the cause of an alarm may still stand
                 self._board.reset()
             self.reconcile_if_reached()
 
@@ -202,21 +199,21 @@ class Owner:
     @property
     def running_id(self) -> str | None:
         """Identity of the run in progress."""
-        running = self._running
+        running = self.use.running
         return None if running is None else running.run_id
 
     @property
     def busy(self) -> bool:
         """True from the request for a run until its end."""
-        return self._running is not None
+        return self.use.running is not None
 
     def reload(self, settings: Settings) -> None:
         """Use `settings` for the next runs.
 
         Raise Busy while a run is in progress, and UserError if `settings` names a different `state_directory`.
         """
-        with self._changed:
-            self._require_nothing_runs()
+        with self.use.lock:
+            self.use.require_no_run()
             if settings.state_directory != self.settings.state_directory:
                 raise UserError(
                     "`state_directory` can only be changed by restarting the service", key="state_directory"
@@ -229,138 +226,54 @@ class Owner:
 
         Wait at most `within_s` for the end of the run. Return True if the run ended in time or none was in progress.
         """
-        with self._changed:
-            self._closing = True
-            self._changed.notify_all()  # the reader of the idle machine ends
-            if self._running is not None:
-                self._running.hold()
-                self._running.interrupt("the service is being stopped")
-            return self._changed.wait_for(lambda: self._running is None, within_s)
+        with self.use.lock:
+            self.use.close()
+            running = self.use.running
+            if running is not None:
+                running.hold()
+                running.interrupt("the service is being stopped")
+        return self.use.wait(within_s)
 
     def wait(self, within_s: float) -> bool:
         """Wait at most `within_s` until no run is in progress. Return True if no run is in progress any longer."""
-        with self._changed:
-            return self._changed.wait_for(lambda: self._running is None, within_s)
-
-    def reconcile(self) -> None:
-        """Compare the compensation in the controller with the journal. If an active table has not yet been confirmed by
-        measurements, reactivate the table that was active before it.
-
-        The comparison is made once after the start of the service, and again after every run that ended aborted or
-        faulted. Otherwise this method does nothing. Raise DeviceError if the machine cannot be reached; the comparison
-        is then made before the next run.
-        """
-        if not self._reconciled:
-            found = self._parts.machine.reconcile(self.settings, self._parts.config.parent)
-            self._show(found)
-
-    def _show(self, found: Reconciliation) -> None:
-        """Show the result of a comparison. If an unproved table is active, the next start or reset compares again."""
-        self._reconciled = found.unproved is None
-        self._board.show_reconciliation(found)
+        return self.use.wait(within_s)
 
     def reconcile_if_reached(self) -> None:
-        """Call `reconcile` unless a run is in progress, and log any error instead of raising it. The active bank
-        is then not known, so that the next reading compares. The idle machine is not read meanwhile.
+        """Compare the compensation in the controller with the journal, if that is due and no run is in progress, and
+        log any error instead of raising it. The active bank is then not known, so that the next reading compares. The
+        idle machine is not read meanwhile.
 
-        The error is not raised because the machine may still be off, and because the next run calls `reconcile` first
-        anyway.
+        The error is not raised because the machine may still be off, and because the next run compares first anyway.
         """
         try:
-            with self._changed:
-                self._await_reading()
-                if self._running is None:
-                    self._compare_or_forget()
+            with self.use.lock:
+                self.use.await_work()
+                if self.use.running is None:
+                    self._comparison.make_or_forget_bank(self.settings)
         except VolcalError as error:
             log.warning("compensation in the controller not checked yet", reason=str(error))
-
-    def _compare_or_forget(self) -> None:
-        try:
-            self.reconcile()
-        except VolcalError as error:
-            self._board.show_bank(None, error.message)
-            raise
 
     def read_idle(self) -> None:
         """Ask the devices whether they answer and the controller which compensation is active, unless a run is in
         progress. A run that is requested meanwhile waits for the end of the reading."""
-        with self.while_idle("the machine is being read") as idle:
+        with self.use.between_runs("the machine is being read") as idle:
             if not idle:
                 return
             found = self._parts.machine.read(self.settings, self._parts.config.parent, self._board.must_compare)
-        with self._changed:
-            if self._running is None:
+        with self.use.lock:
+            if self.use.running is None:
                 self._board.show_reading(found)
-
-    @contextmanager
-    def while_idle(self, work: str) -> Iterator[bool]:
-        """Do work between two runs in the `with` block, for which `work` is a sentence; a run that is requested
-        meanwhile waits for the end of the block. The block gets False, and must do nothing, while a run is in progress,
-        while other such work is, and once the service is being stopped."""
-        with self._changed:
-            idle = self._running is None and not self._idle_work and not self._closing
-            if idle:
-                self._idle_work = work
-        try:
-            yield idle
-        finally:
-            if idle:
-                with self._changed:
-                    self._idle_work = ""
-                    self._changed.notify_all()
-
-    def await_change(self, within_s: float) -> bool:
-        """Return at the end of a run, when the service is being stopped, and after `within_s` at the latest. The result
-        is False if the service is being stopped."""
-        with self._changed:
-            if not self._closing:
-                self._changed.wait(within_s)
-            return not self._closing
 
     # ------------------------------------------------------------------ starting
 
     def _reserve(self) -> RunMailbox:
-        with self._changed:
-            self._require_service()
-            self._require_nothing_runs()
+        with self.use.lock:
+            self.use.require_service()
+            self.use.require_no_run()
             self._require_reset()
-            self._running = running = RunMailbox(new_run_id(), self._parts.health.beat)
-            try:
-                self._await_reading()
-                self._require_service()  # it may have been stopped meanwhile
-            except Busy:
-                self._release()
-                raise
+            running = RunMailbox(new_run_id(), self._parts.health.beat)
+            self.use.occupy(running)
             return running
-
-    def _await_reading(self) -> None:
-        """Wait until no reading of the idle machine, and no other work between runs, is in progress; the caller holds
-        the lock, which is released meanwhile. Raise Busy if it has not ended after `READING_LIMIT_S`."""
-        if not self._changed.wait_for(lambda: not self._idle_work, READING_LIMIT_S):
-            raise Busy(
-                f"{self._idle_work}, and this has not ended after {READING_LIMIT_S:g} s",
-                hint="a device or the disk answers slowly or not at all (`volcal doctor` names it); try again",
-            )
-
-    def _release(self) -> None:
-        with self._changed:
-            self._running = None
-            self._changed.notify_all()
-
-    def _require_service(self) -> None:
-        if self._closing:
-            raise Busy("the service is being stopped", hint="start the service again")
-
-    def _require_nothing_runs(self) -> None:
-        if self._running is not None:
-            raise Busy(f"run {self._running.run_id} is in progress", hint="wait until it ends or abort it")
-
-    def _require_proved_table(self) -> None:
-        """Raise PlanRefused if a table is active that was never proved and could not be taken back. A new run would
-        take it for the intended compensation of the machine."""
-        unproved = self._board.status().unproved
-        if unproved is not None:
-            raise PlanRefused(unproved.situation, hint=unproved.way_out)
 
     def _require_reset(self) -> None:
         status = self._board.status()
@@ -400,8 +313,8 @@ class Owner:
         """Return the available machine time in min, or None if it is not limited. Raise GateRefused or
         PermissionMissing if a run without consent may not start now, and PlanRefused if no run may.
         """
-        self.reconcile()
-        self._require_proved_table()
+        self._comparison.make(self.settings)
+        self._comparison.require_proved_table()
         slots = [request.slot_minutes, None if request.consent else self._unattended_minutes()]
         return min((slot for slot in slots if slot is not None), default=None)
 
@@ -440,7 +353,7 @@ class Owner:
         alarm = None if error is None else alarm_of(error)
         if alarm is not None:
             self._record(alarm)
-        with self._changed:
+        with self.use.lock:
             read = self._board.status()
             self._board.show_idle(idle)
             if measured is not None:
@@ -453,10 +366,9 @@ class Owner:
             if alarm is not None:
                 self._board.alarm(alarm)
             if state in allowed_requests.STICKY:
-                self._reconciled = False
-            self._running = None
+                self._comparison.repeat()
             self._board.enter(state, str(error) if error is not None else state.value)
-            self._changed.notify_all()
+            self.use.release()
 
     # ------------------------------------------------------------------
 
@@ -490,9 +402,10 @@ class Owner:
             raise NotAllowedInState(f"{what} is not allowed in state {status.state.value}", hint=why)
 
     def _on_running(self, action: Callable[[RunMailbox], None], text: str, by: str) -> None:
-        with self._changed:
-            if self._running is not None:
-                action(self._running)
+        with self.use.lock:
+            running = self.use.running
+            if running is not None:
+                action(running)
                 self._note(text, by)
 
     def _record_request(self, text: str, request: str, by: str) -> None:

@@ -27,7 +27,7 @@ from agent.runs.reconcile import reconcile
 from agent.runs.reconcile_result import CompensationState, ReconcileAction, Reconciliation
 from agent.runs.run_request import RunRequest
 from agent.service.control import LinkState
-from agent.service.owner import idle_reader, owner
+from agent.service.owner import idle_reader, machine_use
 from agent.service.owner.idle_reader import idle_reading, tidy_up
 from agent.service.state.controller_reading import ControllerReading, read_controller
 from agent.service.state.event_log import EventLog
@@ -137,7 +137,7 @@ def test_a_run_waits_for_a_reading_in_progress_and_its_result_is_dropped(
         starting = threading.Thread(target=started, args=(built,))
         starting.start()
         while not built.owner.busy:  # the run is reserved, and waits
-            built.owner.await_change(0.01)
+            built.owner.use.await_change(0.01)
         assert built.puppet.started == []
         slow.answer.set()
         reading.join(PATIENCE_S)
@@ -150,7 +150,7 @@ def test_a_request_waits_for_a_device_that_hangs_only_so_long(tmp_path: Path, mo
     with house(tmp_path) as built:
         slow = SlowMachine()
         monkeypatch.setattr(type(built.machine), "read", slow.read)
-        monkeypatch.setattr(owner, "READING_LIMIT_S", 0.01)
+        monkeypatch.setattr(machine_use, "READING_LIMIT_S", 0.01)
         reading = threading.Thread(target=built.owner.read_idle)
         reading.start()
         assert slow.begun.wait(PATIENCE_S)
@@ -172,7 +172,7 @@ def test_the_end_of_the_service_awaits_a_reading_in_progress(tmp_path: Path, mon
         monkeypatch.setattr(built.owner, "settings", built.owner.settings.model_copy(update={"service": service}))
 
         def answer_when_stopped() -> None:
-            while built.owner.await_change(0.01):
+            while built.owner.use.await_change(0.01):
                 pass
             slow.answer.set()
 
@@ -197,14 +197,14 @@ def test_the_comparison_at_the_start_of_the_service_waits_for_a_reading_in_progr
     with house(tmp_path) as built:
         slow, waits = SlowMachine(), threading.Event()
         monkeypatch.setattr(type(built.machine), "read", slow.read)
-        await_reading = built.owner._await_reading
+        await_reading = built.owner.use.await_work
 
         def awaited() -> None:
             waits.set()
             await_reading()
             assert slow.answer.is_set()
 
-        monkeypatch.setattr(built.owner, "_await_reading", awaited)
+        monkeypatch.setattr(built.owner.use, "await_work", awaited)
         reading = threading.Thread(target=built.owner.read_idle)
         reading.start()
         assert slow.begun.wait(PATIENCE_S)
@@ -261,7 +261,7 @@ class TestTidyingUp:
                 for started_at in ("2026-11-21T02:00:00.000Z", "2026-11-21T09:00:00.000Z"):
                     board.begin_run("20261121T020000Z-0000", "calibrate", "page", "S3")
                     board._change(started=started_at)
-                    built.owner._release()  # wakes the thread as the end of a run does
+                    built.owner.use.release()  # wakes the thread as the end of a run does
                     while tidied.get(timeout=PATIENCE_S) != started_at:
                         pass
 
@@ -293,7 +293,7 @@ class TestTidyingUp:
             starting = threading.Thread(target=started, args=(built,))
             starting.start()
             while not built.owner.busy:  # the run is reserved, and waits
-                built.owner.await_change(0.01)
+                built.owner.use.await_change(0.01)
             assert built.puppet.started == []
             go_on.set()
             tidying.join(PATIENCE_S)

@@ -238,7 +238,7 @@ def test_an_alarm_between_runs_is_told_at_once(tmp_path, monkeypatch) -> None:
         built.machine.found.append(
             Reconciliation(CompensationState.CHANGED, ReconcileAction.NOTHING, 2, instruction="look at the bank")
         )
-        built.owner.reconcile()
+        built.owner.reconcile_if_reached()
         told = boxes["mail"].next()
     assert (told.occasion, told.severity) == ("alarm", "alarm")
     assert told.subject == "case-study: alarm 360: Compensation table error"
@@ -264,7 +264,7 @@ def test_the_retained_state_has_the_alarms_that_are_open_between_runs(tmp_path, 
     with house(tmp_path) as built:
         with telling(tmp_path, monkeypatch, built, mqtt=MQTT) as boxes:
             built.machine.found.append(lost)
-            built.owner.reconcile()
+            built.owner.reconcile_if_reached()
         opened = [boxes["mqtt"].next() for _ in range(boxes["mqtt"].told.qsize())][-1]
         with telling(tmp_path, monkeypatch, built, mqtt=MQTT) as boxes:
             built.owner.reset()

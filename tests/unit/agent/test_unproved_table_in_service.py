@@ -134,7 +134,7 @@ AS_IT_WAS = Reconciliation(CompensationState.AS_EXPECTED, ReconcileAction.NOTHIN
 def test_an_unfinished_run_can_be_given_up(tmp_path: Path) -> None:
     with house(tmp_path) as built:
         built.machine.found.extend([replace(AS_IT_WAS, unfinished=UNFINISHED), AS_IT_WAS])
-        built.owner.reconcile()
+        built.owner.reconcile_if_reached()
         before = built.owner.status()
         assert (before.unfinished, before.may >= {"resume_run", "give_up", "start"}) == (UNFINISHED.run_id, True)
         built.owner.give_up("panel 2")
@@ -148,7 +148,7 @@ def test_an_earlier_unfinished_run_is_offered_once_the_later_one_is_given_up(tmp
     earlier = replace(UNFINISHED, run_id="20261128T013000Z-ab12")
     with house(tmp_path) as built:
         built.machine.found.extend([replace(AS_IT_WAS, unfinished=one) for one in (UNFINISHED, earlier)])
-        built.owner.reconcile()
+        built.owner.reconcile_if_reached()
         built.owner.give_up()
         assert built.owner.status().unfinished == earlier.run_id
 
@@ -159,7 +159,7 @@ def test_a_run_that_cannot_be_ended_stays_unfinished(tmp_path: Path) -> None:
     )
     with house(tmp_path) as built:
         built.machine.found.extend([replace(AS_IT_WAS, unfinished=UNFINISHED), left_alone])
-        built.owner.reconcile()
+        built.owner.reconcile_if_reached()
         with pytest.raises(StoreError, match="the run is still unfinished") as refused:
             built.owner.give_up()
         assert refused.value.hint == "look at the controller"
