@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -43,27 +44,13 @@ CASE = CONFIG / "case-study.toml"
 MACHINE = CONFIG / "machines" / "case-study.toml"
 STRUCTURE = CONFIG / "structures" / "case-study.toml"
 SCENARIO = "scenario.toml"
-PROGRAM = b"""%
-N10 G21 G90 G17 G54 F500 S1000 M3
-N20 #1 = [2 * [3 + 4]]
-N25 #2 = #1
-N30 G0 X0 Y0 Z10
-N40 G1 X[#1 / 2] Y-3.5 Z1.25 F300
-N50 G2 X10 Y0 R5
-N60 G81 X20 Y5 Z-3 R2 L2
-N70 o100 while [#2 LT 20]
-N80 #2 = [#2 + 5]
-N90 G1 X#2
-N100 o100 endwhile
-N110 o200 if [#2 GT 5]
-N120 G91 G1 X1
-N130 o200 endif
-N140 G90 G3 X0 Y0 R40
-N150 G43 H1 (comment) ; and another
-N160 G28 X0
-M30
-%
-"""
+HEAD = b"N10 G21 G90 G17 G54 F500 S1000 M3\nN20 #1 = [2 * [3 + 4]]\n"
+PROGRAMS = (
+    b"%\n" + HEAD + b"N30 G0 X0 Y0 Z10\nN40 G1 X[#1 / 2] Y-3.5 Z1.25 F300\nN50 G2 X10 Y0 R5\nM30\n%\n",
+    HEAD + b"N60 G81 X20 Y5 Z-3 R2 L2\nN140 G90 G3 X0 Y0 R40\nN150 G43 H1 (comment) ; and another\nN160 G28 X0\n",
+    HEAD + b"o100 while [#1 LT 30]\n#1 = [#1 + 5]\nG1 X#1\no100 endwhile\no200 if [#1 GT 5]\nG91 G1 X1\no200 endif\n",
+)
+"""Short programs, so that most of the time of an input belongs to what was changed in it."""
 PART_SETUP = b"""[work_offsets_mm]
 G54 = [100.0, 200.0, 300.0]
 """
@@ -96,6 +83,26 @@ MESH = b"""<?xml version="1.0"?>
 PUNCHED = b"%\nN10G0X0Y0Z0\nN20G1X1.5Y-2.5F100\nM30\n%\n"
 
 
+def _small_grid() -> DeflectionGrid:
+    x, y, z = np.array([0.0, 2000.0, 4000.0]), np.array([0.0, 1300.0]), np.array([-10.5, 1500.0])
+    return cantilever_deflection(x, y, z)
+
+
+def _coarse(table: CompensationTable) -> CompensationTable:
+    """Return the table with the nodes at its corners only."""
+    corners = np.ix_((0, -1), (0, -1), (0, -1))
+    x, y, z = (nodes[[0, -1]] for nodes in table.nodes)
+    return replace(
+        table, x=x, y=y, z=z, corrections=table.corrections[corners], extrapolated=table.extrapolated[corners]
+    )
+
+
+COARSE_TABLE = _coarse(TABLE)
+SMALL_GRID = format_deflection(_small_grid())
+GRID = "case-study-deflection.csv"
+"""Name of the shipped grid, which the machine file states."""
+
+
 def file_decoders() -> Iterator[Decoder]:
     machine = _described_machine()
     yield _text("settings (TOML)", [CASE, CONFIG / "grbl.toml"], lambda text: parse_settings(text, "volcal.toml"))
@@ -106,10 +113,12 @@ def file_decoders() -> Iterator[Decoder]:
     yield _scenario_decoder()
     positions = [CONFIG / "bridge-positions.csv", CONFIG / "hand-placed-positions.csv"]
     yield _text("positions (CSV)", positions, lambda text: parse_positions(text, "positions.csv"))
-    balls = [CONFIG / "examples" / "case-study-balls.csv"]
-    yield _text("balls (CSV)", balls, lambda text: parse_balls(text, "balls.csv", machine.tools, travel=machine.limits))
-    # A small grid: in the shipped one of 1,755 nodes nearly every change meets a cell of the same kind.
-    grid = [format_deflection(_small_grid()).encode()]
+    rows = (CONFIG / "examples" / "case-study-balls.csv").read_bytes().splitlines(keepends=True)
+    # A few rows of two positions: nearly every change to all 260 meets a cell of the same kind. So it is with a grid.
+    balls = [b"".join([rows[0], *rows[1:5], *rows[-4:]])]
+    read_balls = _decoding(lambda text: parse_balls(text, "balls.csv", machine.tools, travel=machine.limits))
+    yield Decoder("balls (CSV)", balls, read_balls)
+    grid = [SMALL_GRID.encode()]
     yield Decoder("deflection (CSV)", grid, _decoding(lambda text: parse_deflection(text, "deflection.csv")))
     yield from _finite_element_decoders()
     table, side = format_table(_small_table()), format_side_file(_small_table())
@@ -118,7 +127,7 @@ def file_decoders() -> Iterator[Decoder]:
     counts = np.arange(24, dtype=np.int32).reshape(2, 2, 2, 3)
     bank = format_bank(TableImage((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1e-4, counts))
     yield Decoder("bank of a controller (text)", [bank.encode()], _decoding(parse_bank))
-    yield Decoder("part program", [PROGRAM], _correct)
+    yield Decoder("part program", PROGRAMS, _correct)
     yield Decoder("punched tape", [PUNCHED], _decoding(parse_tape), (TapeError,))
     yield from certificate_decoders()
 
@@ -142,10 +151,14 @@ def _scenario_decoder() -> Decoder:
     """Return the decoder of scenarios. The files that one names lie beside its folder, as the shipped ones do."""
     folder = MemoryFolder()
     good = (CONFIG / "simulators" / "case-study.toml").read_bytes()
+    machine = MACHINE.read_bytes()
 
     def read(path: Path) -> object:
-        for name in ("machines", "artefacts"):
-            (path / name).symlink_to(CONFIG / name)
+        (path / "artefacts").symlink_to(CONFIG / "artefacts")
+        machines = path / "machines"
+        machines.mkdir()
+        (machines / MACHINE.name).write_bytes(machine)
+        (machines / GRID).write_text(SMALL_GRID, encoding="utf-8")
         moved = path / "simulators"
         moved.mkdir()
         return read_scenario((path / SCENARIO).rename(moved / SCENARIO))
@@ -155,7 +168,7 @@ def _scenario_decoder() -> Decoder:
 
 def _correct(data: bytes) -> object:
     lines = data.decode(errors="surrogateescape").splitlines(keepends=True)
-    return correct_program(lines, TABLE, SETUP, CorrectionOptions(0.01), lambda _: None)
+    return correct_program(lines, COARSE_TABLE, SETUP, CorrectionOptions(0.01), lambda _: None)
 
 
 def _described_machine() -> MachineDescription:
@@ -163,12 +176,8 @@ def _described_machine() -> MachineDescription:
 
 
 def _beside(path: Path) -> Callable[[str], str]:
-    return lambda name: read_text(path.parent / name, error=InputError)
-
-
-def _small_grid() -> DeflectionGrid:
-    x, y, z = np.array([0.0, 2000.0, 4000.0]), np.array([0.0, 1300.0]), np.array([-10.5, 1500.0])
-    return cantilever_deflection(x, y, z)
+    """Return the function that reads the files beside that at `path`, and a small grid instead of the shipped one."""
+    return lambda name: SMALL_GRID if name == GRID else read_text(path.parent / name, error=InputError)
 
 
 def _finite_element_decoders() -> Iterator[Decoder]:
