@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +29,7 @@ class AppliedTable:
 
     `chi2_normalised` is χ² of the change per degree of freedom, and `limit` the largest value of a table that is
     applied as written. `mistake` is the mistake of the controller that explains the change better; it is empty if the
-    odds against the table as written, `odds`, are not decisive.
+    odds against the table as written, `odds`, are not decisive. They are those of one of many possible mistakes.
     """
 
     chi2_normalised: float
@@ -74,15 +74,26 @@ def applied_table(
     `projected` gives the corrections at the held-out balls, projected on the directions of the test (f,) in mm.
     `max_chi2` is the stated limit of a normalised χ².
     """
-    written = projected(table.at)
-    chi2, limit = test.chi2_normalised(written), test.limit(max_chi2)
     mistakes = [(mistake, projected(correction)) for mistake, correction in _mistakes(table, former)]
+    return diagnosed(test, projected(table.at), mistakes, max_chi2)
+
+
+def diagnosed(test: ChangeTest, written: Array, mistakes: Sequence[tuple[str, Array]], max_chi2: float) -> AppliedTable:
+    """Return whether the correction `written` is applied, any other share of it, or one of the `mistakes`, each with
+    its name. All corrections (f,) in mm are projected on the directions of the test."""
+    chi2, limit = test.chi2_normalised(written), test.limit(max_chi2)
     share = test.share(written)
-    mistakes.append((f"{100.0 * share:.0f} % of the correction acts: check the scale of the table", share * written))
-    odds = test.log_odds([correction for _, correction in mistakes], written)
+    named = [
+        *mistakes,
+        (f"{100.0 * share:.0f} % of the correction acts: check the scale of the table", share * written),
+    ]
+    odds = test.log_odds([correction for _, correction in named], written)
     odds[-1] -= math.log(_NAMED_BEFORE_SHARE)
     best = int(np.argmax(odds))
-    log_odds, mistake = float(odds[best]), mistakes[best][0]
+    log_odds, mistake = float(odds[best]), named[best][0]
+    if best < len(mistakes):
+        # The best of many explains the noise better than any one: all of them together count as much as one alone.
+        log_odds -= math.log(len(mistakes))
     if log_odds < math.log(DECISIVE_ODDS):
         return AppliedTable(chi2, limit)
     return AppliedTable(chi2, limit, mistake, odds_text(log_odds))

@@ -28,7 +28,7 @@ from agent.runs.run_context import RunHooks
 from agent.runs.session import RunResult, carry_out
 from agent.settings.schema import Settings
 from benchmarks.places import memory_directory
-from campaigns.aborts.case import InMemoryDatabase, prepare_case
+from campaigns.aborts.case import FORMER_BANK, InMemoryDatabase, prepare_case
 from campaigns.aborts.forked_copies import Forks
 from campaigns.faults.fault_injector import FaultInjector
 from campaigns.faults.fault_scene import FaultScene, build_world
@@ -52,6 +52,8 @@ BANKS_OF_REGISTER_MAP = (1, 2)
 IDENTIFICATION = {"order": 3}
 """A model of a given small order: with one chosen by evidence, a run takes half as much computing time again."""
 MOST_DRAWS = 30
+LEAST_GAIN = 0.1
+"""Share by which the true error must decrease in an undisturbed night."""
 NEXT_DRAW = 10**9
 """Distance of the seeds of successive draws of one machine."""
 
@@ -108,11 +110,13 @@ def drawn_seed(seed: int, night: int, draw: int = 0) -> int:
 @cache
 def accepted_machine(seed: int, night: int) -> NightMachine:
     """Return the machine of a night of the campaign with the seed `seed`: the first one drawn whose undisturbed night
-    ends with an accepted table.
+    ends with an accepted table that makes it better by `LEAST_GAIN` in the whole workspace.
 
     On another machine no table is written, since a gate refuses it or no proof could show its gain with one held-out
-    position, and a fault that begins at a step that writes never would. The results of the preflight and the
-    estimates are cached for the nights that follow. Raises RuntimeError if no table is accepted in `MOST_DRAWS` draws.
+    position, and a fault that begins at a step that writes never would. Or the noise of the touches alone decides
+    whether a table from three positions helps far from them, since the gates that ask for more are wide open here. The
+    results of the preflight and the estimates are cached for the nights that follow. Raises RuntimeError if no table is
+    accepted in `MOST_DRAWS` draws.
     """
     cache_preflight()
     cache_estimates()
@@ -123,8 +127,13 @@ def accepted_machine(seed: int, night: int) -> NightMachine:
             if run.defect is not None:
                 raise run.defect
             assert run.ended is not None
-            proof = run.ended.outcome.proof
-            if proof is not None and proof.accepted:
+            proof, truth = run.ended.outcome.proof, scene.world.truth
+            if proof is None or not proof.accepted:
+                continue
+            (_, before_um), (_, after_um) = (
+                truth.true_volumetric_error(bank) for bank in (FORMER_BANK, scene.world.controller.active_bank)
+            )
+            if after_um <= (1.0 - LEAST_GAIN) * before_um:
                 return NightMachine(world_seed, scene.clock.now(), draw)
     raise RuntimeError(f"no undisturbed night of {MOST_DRAWS} machines was accepted")
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -16,7 +16,7 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 from agent.probing.measured_balls import no_correction
-from agent.results.applied_table import BANK_DOUBTED, AppliedTable, applied_table
+from agent.results.applied_table import BANK_DOUBTED, AppliedTable, applied_table, diagnosed
 from campaigns.foreign.artefact import S3, MeasuringConditions, measure, measure_at, tilted_bar
 from campaigns.foreign.machine import TOOL, foreign_machine
 from campaigns.foreign.score import family_of
@@ -25,6 +25,7 @@ from twin.artefact.artefact import Artefact
 from twin.artefact.change_test import ChangeTest
 from twin.artefact.held_out_check import HeldOutCovariance, held_out_covariance, held_out_residuals
 from twin.artefact.observations import Observations
+from twin.compensation.misread_tables import misread_tables
 from twin.compensation.table import CompensationTable, build_table, regular_nodes
 from twin.identification import identify, residual_covariance
 from twin.machine.anchor import Anchor
@@ -162,6 +163,25 @@ def test_a_table_that_is_applied_as_written_is_never_blamed(former_share: float)
     found = [scene.diagnosis(former_share, as_written) for scene in scenes()]
     assert [one.reason for one in found] == [""] * len(found)
     assert np.mean([one.chi2_normalised for one in found]) == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_small_table_is_blamed_for_the_noise_twice_in_ten_thousand_proofs_at_most() -> None:
+    """The mistakes of a small table differ from it by little more than the noise, and there are forty of them."""
+    rng, blamed, draws = np.random.default_rng(20), 0, 1000
+    for scene in scenes()[::REPEATS]:
+        small = replace(scene.table, corrections=0.15 * scene.table.corrections)
+        covariance = scene._covariance(scene._residuals(scene.later, no_correction))
+        at = scene.former.axis_positions
+        written, *others = (
+            covariance.projected(one(at)) for one in (small.at, *(one.table.at for one in misread_tables(small)))
+        )
+        named = [(str(number), other) for number, other in enumerate(others)]
+        test = ChangeTest.of(-written, covariance, covariance.touches, 1.0)
+        noise = np.linalg.inv(test.whitening)
+        for _ in range(draws):
+            noisy = replace(test, measured=noise @ rng.standard_normal(test.freedom) - written)
+            blamed += bool(diagnosed(noisy, written, named, MAX_CHI2).mistake)
+    assert blamed <= 2e-4 * draws * MACHINES
 
 
 @pytest.mark.parametrize("former_share", [0.0, 0.65])

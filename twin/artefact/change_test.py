@@ -25,7 +25,8 @@ from twin.artefact.held_out_check import HeldOutCovariance
 
 DECISIVE_ODDS = 1000.0
 """Odds from which another correction than that of the new table counts as applied. A table that is applied as written
-meets such odds by chance with a probability of at most 0.1 % for each other correction."""
+meets such odds by chance with a probability of at most 0.1 % for each other correction, and for all together if the
+odds are divided by their number."""
 
 _FALSE_ALARM = 1e-4
 
