@@ -203,7 +203,8 @@ def judge_night(night: PlannedNight, run: EndedRun, make_rig: MakeRig | None = N
         try:
             resumed = _resume(injector, run.directory, make_rig)
         except VolcalError as refusal:
-            record = replace(record, resume_refused=str(refusal))
+            if not injector.begun:  # a fault of this morning may have caused it
+                record = replace(record, resume_refused=str(refusal))
             continue
         rest = replace(night, mornings=night.mornings[number + 1 :])
         return replace(record, later=judge_night(rest, resumed, make_rig))

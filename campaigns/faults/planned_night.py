@@ -104,9 +104,18 @@ JUMPED_BEFORE_PROOF = PlannedNight(
     77, 116, "thermometer wrong", 1.0, "publish/read-back", mornings=("resume", "restart")
 )
 """All thermometers show -127 °C from the first reading of the proof on."""
+READ_ONLY_AS_IT_IS_RESUMED = PlannedNight(
+    61,
+    1889,
+    "read-only",
+    0.675,
+    second=SecondFault("read-only", resumed=True, delay_s=0.027),
+    mornings=("resume", "resume", "restart"),
+)
+"""The journal can be written again only for the second resumption."""
 KNOWN_DURATION_S = 693.0
 """Machine time in s over which the instants of the known nights were drawn."""
-KNOWN_NIGHTS = (SEEN_BY_PROOF, SEEN_BY_NOBODY, NAMED_IN_THE_MORNING, JUMPED_BEFORE_PROOF)
+KNOWN_NIGHTS = (SEEN_BY_PROOF, SEEN_BY_NOBODY, NAMED_IN_THE_MORNING, JUMPED_BEFORE_PROOF, READ_ONLY_AS_IT_IS_RESUMED)
 """Nights that have once found a defect, as they were drawn then: with a new kind of fault, other nights are drawn."""
 
 

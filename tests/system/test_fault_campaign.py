@@ -178,16 +178,17 @@ def test_a_trial_whose_runs_end_before_their_fault_fails(missed: int, passed: bo
 
 def test_nights_that_once_found_a_defect_end_as_they_must() -> None:
     """A controller that activates another bank: seen by the proof, by nobody, and in the morning. A thermometer that
-    fails between the measurement and the proof: the run is resumed once it is in order."""
+    fails between the measurement and the proof, and a journal that can be read only, also as the run is resumed: the run
+    is resumed once they are in order."""
     code, result = run_campaign("faults", "--known")
     assert result["violations"] == dict.fromkeys(INVARIANTS, 0)
     assert (code, result["nights"], result["by_kind"]) == (
         0,
-        4,
-        {"probe battery": 1, "thermometer wrong": 1, "wrong bank": 2},
+        5,
+        {"probe battery": 1, "read-only": 1, "thermometer wrong": 1, "wrong bank": 2},
     )
-    assert (result["resumed"], result["resumed_to"], result["accepted"]) == (1, {"complete": 1}, 1)
-    assert (result["with_a_second_fault"], result["left_to_the_morning"]) == (1, 3)
+    assert (result["resumed"], result["resumed_to"], result["accepted"]) == (2, {"complete": 2}, 2)
+    assert (result["with_a_second_fault"], result["left_to_the_morning"]) == (2, 3)
     assert result["left_to_a_person"] == 3
     assert list(result["cannot_be_seen"].values()) == [1]
     with pytest.raises(NotSummableError):  # these nights are no part of a seed
