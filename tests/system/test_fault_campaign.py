@@ -178,7 +178,7 @@ def test_a_trial_whose_runs_end_before_their_fault_fails(missed: int, passed: bo
 
 def test_nights_that_once_found_a_defect_end_as_they_must() -> None:
     """A controller that activates another bank: seen by the proof, by nobody, and in the morning. A thermometer that
-    fails between the measurement and the proof, and a journal that can be read only, also as the run is resumed: the run
+    fails between the measurement and the proof, and a journal that is read-only, also while the run is resumed: the run
     is resumed once they are in order."""
     code, result = run_campaign("faults", "--known")
     assert result["violations"] == dict.fromkeys(INVARIANTS, 0)
