@@ -21,7 +21,7 @@ if will_run():
     from agent.cli.printing import gates_table, results_console
     from agent.model_files import load_machine
     from agent.planning.job_preparation import prepare_job
-    from agent.results.gate_forecast import forecast_gates, require_forecast
+    from agent.results.gates.gate_forecast import forecast_gates, require_forecast
     from agent.service.opcua.node_set_files import node_sets_to_load
     from agent.settings.load import load_settings, naming
     from agent.settings.plausible_ranges import implausible_values

@@ -28,7 +28,7 @@ if will_run():
     from agent.planning.controller_comparison import compare_with_controller
     from agent.planning.job import Job
     from agent.planning.job_preparation import prepare_job
-    from agent.results.gate_forecast import GateForecast, forecast_gates, require_forecast
+    from agent.results.gates.gate_forecast import GateForecast, forecast_gates, require_forecast
     from agent.runs.reconcile import compensation_left
     from agent.settings.load import load_settings, naming
     from drivers.errors import DeviceError, VolcalError

@@ -23,7 +23,7 @@ if will_run():
     from agent.planning.new_machine.answers import SetupAnswers
     from agent.planning.new_machine.new_setup import SETTINGS_FILE
     from agent.planning.new_machine.spindle import spindle_name
-    from agent.results.gate_forecast import require_forecast
+    from agent.results.gates.gate_forecast import require_forecast
     from agent.runs.new_machine_files import PREVIEW, NewFiles, prepare_files, refuse_existing
     from agent.settings.load import read_settings
     from agent.settings.plausible_ranges import implausible_values

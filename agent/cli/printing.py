@@ -17,7 +17,7 @@ from agent.results.travel_parts import TravelParts
 if TYPE_CHECKING:
     from rich.console import JustifyMethod, RenderableType
 
-    from agent.results.gate_forecast import GateForecast
+    from agent.results.gates.gate_forecast import GateForecast
     from twin.compensation.table import CompensationTable
 
 PAGE_WIDTH = 96

@@ -44,7 +44,7 @@ from agent.results.artefact_calibration import calibration_warnings
 from agent.results.decision_kinds import HELD_OUT, IDENTIFIED, INPUTS, OUTCOME, PROBE
 from agent.results.estimation import table_grid
 from agent.results.facts import ArtefactFacts, ProbeFacts, ProbeRing, Quantity, TableFacts, VolumetricSummary
-from agent.results.gates import Gate
+from agent.results.gates.gate import Gate
 from agent.results.homing_scatter import HomingScatter, after_homing_text
 from agent.results.run_outcome import Decision
 from agent.results.run_requester import BY, requester_of

@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import Enum
 
-from agent.results.gates import CHANGE, Gate
+from agent.results.gates.gate import Gate
+from agent.results.gates.gate_rules import CHANGE
 from drivers.roles import OperatorRequest, OperatorTask
 
 

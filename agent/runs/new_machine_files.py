@@ -22,8 +22,8 @@ from agent.planning.new_machine.fields import PLACEMENT, SHAPE, SIZE, TRAVEL
 from agent.planning.new_machine.machine_setup import Triple
 from agent.planning.new_machine.new_setup import LAST_EFFORT, POSITIONS_FILE, SETTINGS_FILE, NewSetup
 from agent.planning.new_machine.setup_files import checked_files
-from agent.results.gate_forecast import GateForecast, forecast_gates
-from agent.results.gates import PROOF
+from agent.results.gates.gate_forecast import GateForecast, forecast_gates
+from agent.results.gates.gate_rules import PROOF
 from agent.runs.kinds.calibrate import calibration_of, preflight_of
 from drivers.errors import ConfigurationError, InputError, VolcalError
 from twin.artefact.position_set import MIN_BALLS

@@ -27,17 +27,12 @@ from agent.results.estimation import (
     scale_warnings,
 )
 from agent.results.facts import ArtefactFacts, TableFacts, triple
-from agent.results.gates import (
-    Gate,
-    estimate_gates,
-    gain_gate,
-    names_of_failed,
-    reasons,
-    require_passed,
-    table_gates,
-)
+from agent.results.gates.estimate_gates import estimate_gates
+from agent.results.gates.gate import Gate
+from agent.results.gates.night_gate import night_document, night_gate, night_text
+from agent.results.gates.required_gates import names_of_failed, reasons, require_passed
+from agent.results.gates.table_gates import gain_gate, table_gates
 from agent.results.night_changes import drift_text
-from agent.results.night_gate import night_document, night_gate, night_text
 from agent.results.table_replacement import ExpectedGain
 from agent.runs.result_files import ESTIMATE_FILE, IDENTIFY, REPORT, replaced_results
 from agent.settings.schema import GateSettings, Order, TableSettings, VerificationSettings

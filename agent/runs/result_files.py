@@ -15,7 +15,8 @@ from agent.planning.job import Job
 from agent.reports.run_report import measured_positions
 from agent.results.artefact_calibration import calibration_texts
 from agent.results.estimation import EstimationResult, estimate_text, provenance
-from agent.results.gates import Gate, names_of_failed
+from agent.results.gates.gate import Gate
+from agent.results.gates.required_gates import names_of_failed
 from agent.results.run_outcome import Outcome
 from agent.runs.run_results import RunResults
 from twin.artefact.position_set import Position

@@ -10,7 +10,7 @@ from agent.probing.preparation import PreparationResult
 from agent.probing.publish import ActiveCompensation
 from agent.probing.run_plan import VERIFIED, MeasuredPositions
 from agent.results.estimation import EstimationResult
-from agent.results.gates import Gate
+from agent.results.gates.gate import Gate
 from agent.results.run_outcome import Confirmation, NightReport, Proof
 from agent.results.trial_report import TrialReport
 from drivers.errors import NotActiveYet, VolcalError

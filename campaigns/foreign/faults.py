@@ -24,7 +24,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # must be set before numpy i
 
 import numpy as np
 
-from agent.results.gates import estimate_gates, names_of_failed
+from agent.results.gates.estimate_gates import estimate_gates
+from agent.results.gates.required_gates import names_of_failed
 from agent.settings.schema import GateSettings
 from campaigns.foreign.artefact import (
     S3,

@@ -26,7 +26,7 @@ from agent.execution.states import RunState
 from agent.execution.steps import STEPS_WITH_EFFECT
 from agent.history.run_row import run_rows
 from agent.planning.job_preparation import prepare_job
-from agent.results.gate_forecast import forecast_gates
+from agent.results.gates.gate_forecast import forecast_gates
 from agent.runs.reference_state import read_reference
 from agent.runs.run_context import RunHooks
 from agent.runs.session import RunResult

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from foreign_files import Folder, rows_of
 
-from agent.results.gates import COMMON_SCALE, estimate_gates, names_of_failed
+from agent.results.gates.estimate_gates import estimate_gates
+from agent.results.gates.gate_rules import COMMON_SCALE
+from agent.results.gates.required_gates import names_of_failed
 from agent.settings.schema import GateSettings
 from campaigns.foreign.artefact import CTE_PER_K, S3, ForeignBar, measure, straight_bar, tilted_bar
 from campaigns.foreign.machine import ForeignMachine, foreign_machine

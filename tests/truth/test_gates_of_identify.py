@@ -12,7 +12,7 @@ from foreign_case_files import Case, written_case
 from volcal_command import volcal
 
 from agent.cli.main import main
-from agent.results.gates import GATE_RULES
+from agent.results.gates.gate_rules import GATE_RULES
 from campaigns.foreign.artefact import S1, S3, STATIONS_MM
 
 ESTIMATE_ONLY = ["artefact-covariance.csv", "artefact.toml", "estimate.json", "report.html"]

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from agent.errors import GateRefused
-from agent.results.gates import FIT, estimate_gates, names_of_failed, require_passed
+from agent.results.gates.estimate_gates import estimate_gates
+from agent.results.gates.gate_rules import FIT
+from agent.results.gates.required_gates import names_of_failed, require_passed
 from agent.settings.schema import GateSettings
 from campaigns.foreign.artefact import NOISE_MM, S3, measure, tilted_bar
 from campaigns.foreign.machine import foreign_machine

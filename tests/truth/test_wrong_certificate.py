@@ -14,7 +14,8 @@ from click.testing import Result
 from foreign_files import artefact_text, ball_text, rows_of
 from volcal_command import volcal
 
-from agent.results.gates import Gate, certificate_gate
+from agent.results.gates.estimate_gates import certificate_gate
+from agent.results.gates.gate import Gate
 from agent.settings.schema import GateSettings
 from campaigns.foreign.artefact import S1, S2, S3, ForeignBar, measure, straight_bar, tilted_bar
 from campaigns.foreign.machine import foreign_machine

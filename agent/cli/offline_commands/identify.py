@@ -23,7 +23,7 @@ if will_run():
     from agent.cli.printing import results_console, travel_rows
     from agent.figures.heading import subject
     from agent.results.estimation import instrument_warnings, order_text
-    from agent.results.gates import reasons
+    from agent.results.gates.required_gates import reasons
     from agent.runs.offline_identification import (
         DEFAULT_GATES,
         DEFAULT_MIN_GAIN,

@@ -34,7 +34,7 @@ if will_run():
     from agent.planning.run_minutes import minutes_by_phase, run_minutes
     from agent.probing.run_plan import position_key
     from agent.results.facts import Quantity, unchecked_text
-    from agent.results.gate_forecast import GateForecast, forecast_gates, require_forecast
+    from agent.results.gates.gate_forecast import GateForecast, forecast_gates, require_forecast
     from agent.results.homing_scatter import after_homing_text
     from agent.results.predicted_accuracy import PredictedAccuracy, predict_accuracy
     from agent.runs.kinds.calibrate import calibration_of, preflight_of

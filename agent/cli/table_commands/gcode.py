@@ -18,8 +18,8 @@ from agent.cli.options import PATH, optional_case_options
 
 if will_run():
     from agent.cli.printing import table_subject
-    from agent.results.gates import require_machine, require_unmarked
     from agent.results.part_programs import correct_file, correct_to, load_part_setup, load_table
+    from agent.results.usable_table import require_machine, require_unmarked
     from drivers.clock import wall_seconds
     from gcode.correction_summary import CorrectionSummary
     from gcode.setup import SYSTEMS, CorrectionOptions, PartSetup, Triple

@@ -42,8 +42,8 @@ if will_run():
         export_table,
         load_table_to_export,
     )
-    from agent.results.gates import require_machine, require_unmarked
     from agent.results.table_image import table_of
+    from agent.results.usable_table import require_machine, require_unmarked
     from drivers.errors import InputError
     from twin.compensation.table import CompensationTable
     from twin.compensation.table_file import format_side_file, format_table

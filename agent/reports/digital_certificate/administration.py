@@ -22,7 +22,7 @@ from agent.reports.page.data import IdentificationData, ReportData
 from agent.reports.page.document_head import calibration_notes, listed_instruments, report_number
 from agent.reports.page.identity import validity
 from agent.reports.page.texts import Texts
-from agent.results.gates import GATE_RULES
+from agent.results.gates.gate_rules import GATE_RULES
 from agent.results.run_verdict import ACCEPTED, CONFIRMED, FUSED, MEASURED, OUT, WITHIN
 from agent.settings.report import Laboratory, MachineIdentity, ReportSettings
 from drivers.errors import ConfigurationError

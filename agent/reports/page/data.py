@@ -14,7 +14,7 @@ from typing import Self, TypeAlias
 import numpy as np
 
 from agent.results.facts import ArtefactFacts, ProbeFacts, Quantity, TableFacts, VolumetricSummary
-from agent.results.gates import Gate
+from agent.results.gates.gate import Gate
 from agent.results.run_verdict import RunVerdict
 from agent.results.travel_parts import TravelParts
 from agent.settings.report import ReportSettings

@@ -12,7 +12,7 @@ from agent.reports.page.data import IdentificationData, ReportData
 from agent.reports.page.number_format import Rows, fixed, micrometres, number, plural, point
 from agent.reports.page.texts import Texts
 from agent.results.facts import Quantity, unchecked_text
-from agent.results.gates import certificate_score
+from agent.results.gates.estimate_gates import certificate_score
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import CHECKABLE_BALLS
 from twin.identification import BallCheck

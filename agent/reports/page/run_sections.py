@@ -13,7 +13,7 @@ from agent.reports.page.number_format import Table, fixed, micrometres, number
 from agent.reports.page.run_figures import draw_verification
 from agent.reports.page.texts import Texts
 from agent.results.facts import ArtefactFacts
-from agent.results.gates import GATE_RULES
+from agent.results.gates.gate_rules import GATE_RULES
 from twin.arrays import Array
 
 

@@ -27,18 +27,11 @@ from agent.results.estimation import (
     estimate_text,
     provenance,
 )
-from agent.results.gates import (
-    CHANGE,
-    Gate,
-    change_gate,
-    estimate_gates,
-    gain_gate,
-    names_of_failed,
-    proof_gate,
-    require_passed,
-    table_gates,
-    with_consent,
-)
+from agent.results.gates.estimate_gates import change_gate, estimate_gates
+from agent.results.gates.gate import Gate
+from agent.results.gates.gate_rules import CHANGE
+from agent.results.gates.required_gates import names_of_failed, require_passed, with_consent
+from agent.results.gates.table_gates import gain_gate, proof_gate, table_gates
 from agent.results.journal_entries import record_held_out, record_identified
 from agent.results.observations import balls_for_estimate
 from agent.results.run_outcome import Confirmation, Decision, Proof

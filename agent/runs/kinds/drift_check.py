@@ -12,8 +12,8 @@ from agent.errors import MeasurementFault
 from agent.files import translated
 from agent.planning.job import Job
 from agent.probing.measured_balls import Correction, MeasuredBall, no_correction, observations_of
+from agent.results.gates.night_gate import night_text
 from agent.results.night_changes import possible_text
-from agent.results.night_gate import night_text
 from agent.results.observations import ReferenceArtefact, certified_balls
 from agent.results.run_outcome import Decision, NightReport, SuspectedError
 from agent.runs.change_since_reference import prior_tonight

@@ -23,7 +23,9 @@ from agent.probing.publish import ActiveCompensation
 from agent.probing.repeated_positions import join_measured
 from agent.probing.run_plan import MEASURED, MeasuredPositions, measure_positions, note_measured, positions_in
 from agent.results.estimation import EstimationResult, estimate_in_run
-from agent.results.gates import Gate, change_gate, estimate_gates, proof_gate, shape_gates
+from agent.results.gates.estimate_gates import change_gate, estimate_gates
+from agent.results.gates.gate import Gate
+from agent.results.gates.table_gates import proof_gate, shape_gates
 from agent.results.observations import balls_for_estimate
 from agent.results.run_outcome import Decision, NightReport, Proof, no_gain_text
 from agent.results.table_replacement import ExpectedGain

@@ -30,7 +30,8 @@ from agent.reports.page.error_table import error_rows
 from agent.reports.page.texts import ENGLISH
 from agent.results import run_verdict
 from agent.results.facts import Quantity
-from agent.results.gates import CERTIFICATE, Gate
+from agent.results.gates.gate import Gate
+from agent.results.gates.gate_rules import CERTIFICATE
 from agent.results.run_verdict import RunVerdict
 from agent.settings.report import ReportSettings
 from agent.thermal.thermometer import ThermometerFacts

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from agent.errors import GateRefused
-from agent.results.gates import Gate, require_passed, table_gates
+from agent.results.gates.gate import Gate
+from agent.results.gates.required_gates import require_passed
+from agent.results.gates.table_gates import table_gates
 from agent.results.travel_parts import TravelPart, TravelParts
 from agent.settings.schema import GateSettings
 from drivers.roles import Activation, StoreLimits

@@ -20,7 +20,7 @@ from agent.language.sentences import (
     in_language,
     with_german_numbers,
 )
-from agent.results.gates import GATE_RULES
+from agent.results.gates.gate_rules import GATE_RULES
 from drivers.foreign_errors import (
     BY_CERTIFICATE_CODE,
     BY_ERRNO,

@@ -13,7 +13,7 @@ from agent.execution.states import RunState
 from agent.language.records import record_words
 from agent.planning.new_machine.field import SetupField
 from agent.planning.new_machine.fields import FIELDS, SETUP_FIELDS, catalogue
-from agent.results.gates import GATE_RULES
+from agent.results.gates.gate_rules import GATE_RULES
 from agent.results.run_verdict import verdict_words
 from agent.runs.kinds.restoration import TABLE_ROLES
 from agent.runs.run_kinds import KINDS

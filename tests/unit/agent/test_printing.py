@@ -17,7 +17,7 @@ from rich.console import Console
 
 import agent.cli
 from agent.cli.printing import columns_table, facts_table, gates_table, results_console
-from agent.results.gate_forecast import GateForecast
+from agent.results.gates.gate_forecast import GateForecast
 
 PATH = "/var/lib/volcal/a-machine-with-a-long-name/20261122T124825Z-fe2a/another-long-folder-of-the-plant/report.html"
 RUN = "20261122T124825Z-fe2a"

@@ -36,7 +36,7 @@ from agent.reports.page.texts import ENGLISH
 from agent.reports.page.workspace_maps import workspace_maps
 from agent.results.estimation import volumetric_summary
 from agent.results.facts import ArtefactFacts, Quantity, TableFacts, triple
-from agent.results.gates import Gate
+from agent.results.gates.gate import Gate
 from agent.settings.report import ReportSettings
 from twin.artefact.artefact import ball_bar
 from twin.artefact.mount_geometry import MountGeometry

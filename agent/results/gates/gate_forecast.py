@@ -22,7 +22,9 @@ from agent.figures.numbers import significant
 from agent.files import translated
 from agent.planning.job import Job
 from agent.results.estimation import table_grid
-from agent.results.gates import (
+from agent.results.gates.estimate_gates import change_gate, fit_gate, redundancy_gate
+from agent.results.gates.gate import Gate
+from agent.results.gates.gate_rules import (
     CERTIFICATE,
     CHANGE,
     COMMON_SCALE,
@@ -32,14 +34,12 @@ from agent.results.gates import (
     PROBE,
     PROOF_FIT,
     STEP,
-    Gate,
-    change_gate,
+)
+from agent.results.gates.table_gates import (
     correction_gate,
     extrapolation_gate,
-    fit_gate,
     gain_gate,
     proof_gate,
-    redundancy_gate,
     slope_gate,
     unmeasured_gate,
 )

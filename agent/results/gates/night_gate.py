@@ -5,7 +5,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from agent.results.gates import NIGHT, Gate
+from agent.results.gates.gate import Gate
+from agent.results.gates.gate_rules import NIGHT
 from agent.results.night_changes import drift_document, jump_documents, possible_text
 from agent.settings.schema import GateSettings
 from twin.monitoring.night_fit import NightFit

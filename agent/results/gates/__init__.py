@@ -1,0 +1,1 @@
+"""Gates: limits that an estimate and its compensation table must meet before the table is written."""
