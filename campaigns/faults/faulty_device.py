@@ -64,7 +64,7 @@ class FaultyDevice:
         self.touches = 0
         self.staged: list[TableImage] = []
         self.moved_until_s = 0.0
-        self._position = (0.0, 0.0, 0.0)
+        self._position = world.controller.displayed_at(clock.now())  # a resumed run begins where the former one ended
 
     def __getattr__(self, name: str) -> Any:
         real = getattr(self._device, name)
