@@ -156,6 +156,7 @@ def summarise(records: Sequence[NightRecord]) -> dict[str, Any]:
         "left_to_a_person": sum(left_to_a_person(night.last) for night in records),
         "cannot_be_seen": dict(Counter(night.last.unseen for night in records if cannot_be_seen(night.last))),
         "misled_by_a_thermometer": sum(is_misled(night.last) for night in records),
+        "struck_a_displaced_ball": sum(bool(night.last.struck) for night in records),
         "violations": {name: violated[name] for name in INVARIANTS},
     }
 

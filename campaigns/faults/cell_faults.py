@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
+from agent.settings.schema import ProcedureSettings
 from campaigns.faults.fault_scene import FaultScene
 from drivers.roles import AxisLimits, Vector
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 
 MM_PER_INCH = 25.4
+CLEARANCE_MM = ProcedureSettings().clearance_mm
 
 
 def mount_off(scene: FaultScene, rng: Generator) -> None:
@@ -57,7 +59,7 @@ def ball_exchanged(scene: FaultScene, rng: Generator) -> None:
     by_mm = rng.standard_normal(3) * np.exp(rng.uniform(np.log(0.005), np.log(2.0)))
     scene.size = f"ball {ball} by {np.linalg.norm(by_mm):.3f} mm"
     balls[ball] += by_mm
-    _carry(scene, balls)
+    _displace(scene, balls)
 
 
 def wrong_bar(scene: FaultScene, rng: Generator) -> None:
@@ -65,7 +67,14 @@ def wrong_bar(scene: FaultScene, rng: Generator) -> None:
     artefact = scene.world.workpiece.artefact
     sigma_mm = float(np.exp(rng.uniform(np.log(0.01), np.log(1.0))))
     scene.size = f"balls scatter by {sigma_mm:.3f} mm"
-    _carry(scene, artefact.balls + sigma_mm * rng.standard_normal(artefact.balls.shape))
+    _displace(scene, artefact.balls + sigma_mm * rng.standard_normal(artefact.balls.shape))
+
+
+def _displace(scene: FaultScene, balls: Array) -> None:
+    """Put the balls elsewhere, and note those that are off by more than the clearance of the paths."""
+    off_mm = np.linalg.norm(balls - scene.world.workpiece.artefact.balls, axis=1)
+    scene.displaced |= {f"ball {ball}" for ball in np.flatnonzero(off_mm > CLEARANCE_MM)}
+    _carry(scene, balls)
 
 
 def _carry(scene: FaultScene, balls: Array) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
@@ -97,7 +98,8 @@ def record_run(run: EndedRun, night: PlannedNight) -> NightRecord:
         resumed=injector.runs - 1,
         must_resume=cleared and bool(injector.acknowledged),
         must_end_well=cleared and on_virtual_clock and injector.runs > 1 and not injector.begun,
-        collisions=tuple(f"{one.body_a} with {one.body_b} at {one.time_s:.2f} s" for one in scene.world.collisions),
+        collisions=tuple(text for text, bodies in _collisions(scene) if not bodies & scene.displaced),
+        struck=tuple(text for text, bodies in _collisions(scene) if bodies & scene.displaced),
         stopped_s=scene.stopped_s,
         stands_from_s=device.moved_until_s,
         moved_after_end_mm=moved_mm,
@@ -121,6 +123,12 @@ def record_run(run: EndedRun, night: PlannedNight) -> NightRecord:
         **told,
         **_of_table(scene.world.controller.active_bank, scene),
     )
+
+
+def _collisions(scene: FaultScene) -> Iterator[tuple[str, set[str]]]:
+    """Yield each collision in words, with the names of its two bodies."""
+    for one in scene.world.collisions:
+        yield f"{one.body_a} with {one.body_b} at {one.time_s:.2f} s", {one.body_a, one.body_b}
 
 
 def _unseen(scene: FaultScene) -> str:

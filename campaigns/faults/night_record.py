@@ -4,6 +4,7 @@ fulfil.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -27,6 +28,9 @@ class NightRecord:
     for a resumed run that nothing disturbs any more. `repeated` are the keys of touches that were measured again
     although they were acknowledged and not discarded.
 
+    `collisions` are those that must not be, and `struck` those with a ball that a fault has displaced by more than the
+    clearance of the paths, which volcal cannot know: between two balls the axes are at rapid traverse.
+
     `stopped_s` is the instant of a fault after which nothing may move; `stands_from_s` is the instant from which the
     axes stood still until the end of the night. `moved_after_end_mm` is the travel of the axes in mm after the end of
     the run. `steps_after_abort` are the keys of the procedure's steps that began after an abort. `active` and `former`
@@ -49,6 +53,7 @@ class NightRecord:
     size: str = ""
     reached: bool = True
     collisions: tuple[str, ...] = ()
+    struck: tuple[str, ...] = ()
     stopped_s: float | None = None
     stands_from_s: float = 0.0
     moved_after_end_mm: float = 0.0
@@ -143,7 +148,9 @@ def cannot_be_seen(night: NightRecord) -> bool:
 
 
 def _collided(night: NightRecord) -> str:
-    return ", ".join(night.collisions)
+    struck = Counter(text.partition(" at ")[0] for text in night.struck)
+    again = (f"{bodies} again" for bodies, count in struck.items() if count > 1)
+    return ", ".join((*night.collisions, *again))
 
 
 def _moved_after_stop(night: NightRecord) -> str:

@@ -113,9 +113,18 @@ READ_ONLY_AS_IT_IS_RESUMED = PlannedNight(
     mornings=("resume", "resume", "restart"),
 )
 """The journal can be written again only for the second resumption."""
+STRUCK_A_DISPLACED_BALL = PlannedNight(61, 2818, "ball exchanged", 0.596, mornings=("resume", "resume", "restart"))
+"""A ball is displaced by 3.5 mm during the run and struck at rapid traverse; the resumed run must not do so again."""
 KNOWN_DURATION_S = 693.0
 """Machine time in s over which the instants of the known nights were drawn."""
-KNOWN_NIGHTS = (SEEN_BY_PROOF, SEEN_BY_NOBODY, NAMED_IN_THE_MORNING, JUMPED_BEFORE_PROOF, READ_ONLY_AS_IT_IS_RESUMED)
+KNOWN_NIGHTS = (
+    SEEN_BY_PROOF,
+    SEEN_BY_NOBODY,
+    NAMED_IN_THE_MORNING,
+    JUMPED_BEFORE_PROOF,
+    READ_ONLY_AS_IT_IS_RESUMED,
+    STRUCK_A_DISPLACED_BALL,
+)
 """Nights that have once found a defect, as they were drawn then: with a new kind of fault, other nights are drawn."""
 
 

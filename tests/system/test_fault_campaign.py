@@ -148,6 +148,15 @@ def test_what_nothing_could_show_is_counted_with_its_reason_and_must_be_said_in_
     assert "former table or a proved one" in violations(replace(resumed, later=replace(PROVED, accepted=False)))
 
 
+def test_a_displaced_ball_may_be_struck_once() -> None:
+    struck = replace(RESTORED, struck=("tip with ball 7 at 502.82 s",))
+    assert violations(struck) == {}
+    assert summarise([struck, RESTORED])["struck_a_displaced_ball"] == 1
+    again = replace(struck, struck=(*struck.struck, "tip with ball 7 at 533.10 s"))
+    assert violations(again) == {"no collision": "tip with ball 7 again"}
+    assert set(violations(replace(struck, collisions=("tip with ball 8 at 1.00 s",)))) == {"no collision"}
+
+
 def test_a_table_may_be_worse_only_by_what_wrong_readings_of_a_thermometer_explain() -> None:
     misled = replace(PROVED, after_um=50.0, misled_um=21.0)
     assert violations(misled) == {}
@@ -179,15 +188,16 @@ def test_a_trial_whose_runs_end_before_their_fault_fails(missed: int, passed: bo
 def test_nights_that_once_found_a_defect_end_as_they_must() -> None:
     """A controller that activates another bank: seen by the proof, by nobody, and in the morning. A thermometer that
     fails between the measurement and the proof, and a journal that is read-only, also while the run is resumed: the run
-    is resumed once they are in order."""
+    is resumed once they are in order. A ball that was displaced and struck is not struck again."""
     code, result = run_campaign("faults", "--known")
     assert result["violations"] == dict.fromkeys(INVARIANTS, 0)
     assert (code, result["nights"], result["by_kind"]) == (
         0,
-        5,
-        {"probe battery": 1, "read-only": 1, "thermometer wrong": 1, "wrong bank": 2},
+        6,
+        {"ball exchanged": 1, "probe battery": 1, "read-only": 1, "thermometer wrong": 1, "wrong bank": 2},
     )
-    assert (result["resumed"], result["resumed_to"], result["accepted"]) == (2, {"complete": 2}, 2)
+    assert (result["resumed"], result["resumed_to"], result["accepted"]) == (3, {"complete": 2, "faulted": 1}, 2)
+    assert result["struck_a_displaced_ball"] == 1
     assert (result["with_a_second_fault"], result["left_to_the_morning"]) == (2, 3)
     assert result["left_to_a_person"] == 3
     assert list(result["cannot_be_seen"].values()) == [1]

@@ -24,6 +24,7 @@ from agent.runs.reconcile import reconcile, unproved_table
 from agent.runs.resume.replay_clock import ResumedClock
 from agent.runs.resume.replay_engine import Replay, ReplayingEngine, require_crc
 from agent.runs.resume.return_to_position import ReturnToPosition
+from agent.runs.resume.slow_moves import slow_until_contact
 from agent.runs.resume.step_trace import StepTrace
 from agent.runs.run_context import RunContext, RunHooks, run_actions
 from agent.runs.run_start import record_asked
@@ -33,6 +34,7 @@ from agent.runs.unfinished_run import unfinished_run
 from drivers.clock import utc_timestamp
 from drivers.errors import InputError, VolcalError
 from drivers.roles import TableImage
+from twin.units import S_PER_MIN
 
 
 def resume(
@@ -77,7 +79,12 @@ def _resume_once(
         tracker = RunStateTracker(journal, hooks.announce, recorded.states)
         steps = StepProgress(tracker, hooks.observe, rig)
         replay = Replay(recorded, run_clock, StepTrace())
-        actions = run_actions(rig, journal, tracker, resources.supervisor, hooks)
+        prefix = f"resume-{recorded.resumptions + 1}"
+        actions = slow_until_contact(
+            run_actions(rig, journal, tracker, resources.supervisor, hooks),
+            settings.procedure.guarded_feed_mm_per_min / S_PER_MIN,
+            f"{prefix}/",
+        )
         engine = ReplayingEngine(actions, journal, steps.observe, replay, stored_tables(journal, rig))
         context = RunContext(rig, engine, journal, tracker, resources.supervisor, clock, hooks)
         session = RunSession(context, steps, job, origin.kind, resources.began_s)
@@ -85,7 +92,6 @@ def _resume_once(
             tracker.enter(RunState.RESUMING)
             with open_rig(context):
                 planned, ahead_s = session.plan(origin.start), continuation_time_s(origin)
-                prefix = f"resume-{recorded.resumptions + 1}"
                 engine.set_return(
                     ReturnToPosition(
                         prefix, planned, session.progress, context, replay.trace, run_clock, origin.begun_s, ahead_s
