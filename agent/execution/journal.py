@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from agent.errors import Busy, JournalFailed, PlanRefused
+from agent.errors import Busy, JournalFailed, PlanRefused, RunError
 from agent.execution.encoding import encode_result, encode_step, table_digest, to_json
 from agent.execution.journal_reader import WORKING_STEPS, JournalReader, require_same_version
 from agent.execution.journal_schema import FILE_NAME, prepare
@@ -27,7 +27,7 @@ from agent.execution.states import RunState
 from agent.execution.steps import Conclude, Enter, ReadTemperatures, Record, Step
 from agent.files import create_directory
 from drivers.clock import Clock, utc_timestamp
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, VolcalError
 from drivers.foreign_errors import cause_of
 from drivers.roles import TableImage
 
@@ -256,7 +256,7 @@ class RunJournal:
 
     def fault(self, error: BaseException, step: str = "") -> None:
         """Record an error that ends the run; its class decides whether the run can be resumed."""
-        self._insert_event("fault", {"step": step, "error": str(error), "type": type(error).__name__})
+        self._insert_event("fault", {"step": step, "error": str(error), "type": _class_of(error)})
 
     def event(self, kind: str, record: Mapping[str, Any]) -> None:
         self._insert_event(kind, record)
@@ -394,3 +394,10 @@ class RunJournal:
                 self._execute("ROLLBACK")
             raise
         self._execute("COMMIT")
+
+
+def _class_of(error: BaseException) -> str:
+    """Return the name of the class of the error tree to which the error belongs. A driver may have more special ones,
+    which nobody who reads the journal knows."""
+    tree = (VolcalError.__module__, RunError.__module__)
+    return next((one.__name__ for one in type(error).__mro__ if one.__module__ in tree), type(error).__name__)

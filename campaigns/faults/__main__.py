@@ -37,6 +37,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # must be set before numpy i
 from campaigns.faults.night_record import (
     INVARIANTS,
     NightRecord,
+    altered_but_better,
     cannot_be_seen,
     is_misled,
     left_to_a_person,
@@ -156,6 +157,7 @@ def summarise(records: Sequence[NightRecord]) -> dict[str, Any]:
         "left_to_a_person": sum(left_to_a_person(night.last) for night in records),
         "cannot_be_seen": dict(Counter(night.last.unseen for night in records if cannot_be_seen(night.last))),
         "misled_by_a_thermometer": sum(is_misled(night.last) for night in records),
+        "altered_but_better": sum(altered_but_better(night.last) for night in records),
         "struck_a_displaced_ball": sum(bool(night.last.struck) for night in records),
         "violations": {name: violated[name] for name in INVARIANTS},
     }

@@ -147,6 +147,14 @@ def cannot_be_seen(night: NightRecord) -> bool:
     return night.morning in (None, night.former) or LEFT_TO_A_PERSON in night.morning_says
 
 
+def altered_but_better(night: NightRecord) -> bool:
+    """Return True if the controller has altered the new table after it was read back, so little that the proof could
+    not tell, which has shown that the machine became better. The next start of volcal must have said so."""
+    if night.active in (night.former, *night.written) or night.before_um is None or night.after_um is None:
+        return False
+    return night.accepted and night.after_um < night.before_um and LEFT_TO_A_PERSON in night.morning_says
+
+
 def _collided(night: NightRecord) -> str:
     struck = Counter(text.partition(" at ")[0] for text in night.struck)
     again = (f"{bodies} again" for bodies, count in struck.items() if count > 1)
@@ -167,7 +175,7 @@ def _incomplete_table(night: NightRecord) -> str:
     if not night.complete_table:
         return "the active bank is empty"
     strange = night.active not in (night.former, *night.written)
-    if strange and not left_to_a_person(night) and not cannot_be_seen(night):
+    if strange and not any(excused(night) for excused in (left_to_a_person, cannot_be_seen, altered_but_better)):
         return f"table {night.active:08x} is neither the former one nor one that was written"
     return "" if night.former_intact else "the bank of the former table was changed"
 

@@ -52,7 +52,7 @@ BANKS_OF_REGISTER_MAP = (1, 2)
 IDENTIFICATION = {"order": 3}
 """A model of a given small order: with one chosen by evidence, a run takes half as much computing time again."""
 MOST_DRAWS = 30
-LEAST_GAIN = 0.1
+LEAST_GAIN = 0.2
 """Share by which the true error must decrease in an undisturbed night."""
 NEXT_DRAW = 10**9
 """Distance of the seeds of successive draws of one machine."""

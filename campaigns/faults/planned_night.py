@@ -113,6 +113,15 @@ READ_ONLY_AS_IT_IS_RESUMED = PlannedNight(
     mornings=("resume", "resume", "restart"),
 )
 """The journal can be written again only for the second resumption."""
+READ_ONLY_BEFORE_THE_END = PlannedNight(
+    61,
+    3792,
+    "disk full",
+    0.428,
+    second=SecondFault("read-only", resumed=True, delay_s=0.0, key="activate/active-bank", after=True),
+    mornings=("resume", "restart, then resume", "restart"),
+)
+"""A resumed run faults, since its journal can be read only; it says so although nothing of its end can be recorded."""
 STRUCK_A_DISPLACED_BALL = PlannedNight(61, 2818, "ball exchanged", 0.596, mornings=("resume", "resume", "restart"))
 """A ball is displaced by 3.5 mm during the run and struck at rapid traverse; the resumed run must not do so again."""
 KNOWN_DURATION_S = 693.0
@@ -123,6 +132,7 @@ KNOWN_NIGHTS = (
     NAMED_IN_THE_MORNING,
     JUMPED_BEFORE_PROOF,
     READ_ONLY_AS_IT_IS_RESUMED,
+    READ_ONLY_BEFORE_THE_END,
     STRUCK_A_DISPLACED_BALL,
 )
 """Nights that have once found a defect, as they were drawn then: with a new kind of fault, other nights are drawn."""

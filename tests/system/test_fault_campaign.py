@@ -148,6 +148,17 @@ def test_what_nothing_could_show_is_counted_with_its_reason_and_must_be_said_in_
     assert "former table or a proved one" in violations(replace(resumed, later=replace(PROVED, accepted=False)))
 
 
+def test_a_table_that_the_controller_alters_may_pass_the_proof_only_if_it_helps_and_is_named() -> None:
+    altered = replace(PROVED, active=OTHER, morning=OTHER, morning_says="activate bank 2 at the controller")
+    assert violations(altered) == {}
+    assert summarise([altered, PROVED])["altered_but_better"] == 1
+    assert set(violations(replace(altered, morning_says="all is well"))) == {"active table complete"}
+    assert set(violations(replace(altered, after_um=99.0))) == {
+        "active table complete",
+        "former table or a proved one",
+    }
+
+
 def test_a_displaced_ball_may_be_struck_once() -> None:
     struck = replace(RESTORED, struck=("tip with ball 7 at 502.82 s",))
     assert violations(struck) == {}
@@ -193,12 +204,19 @@ def test_nights_that_once_found_a_defect_end_as_they_must() -> None:
     assert result["violations"] == dict.fromkeys(INVARIANTS, 0)
     assert (code, result["nights"], result["by_kind"]) == (
         0,
-        6,
-        {"ball exchanged": 1, "probe battery": 1, "read-only": 1, "thermometer wrong": 1, "wrong bank": 2},
+        7,
+        {
+            "ball exchanged": 1,
+            "disk full": 1,
+            "probe battery": 1,
+            "read-only": 1,
+            "thermometer wrong": 1,
+            "wrong bank": 2,
+        },
     )
-    assert (result["resumed"], result["resumed_to"], result["accepted"]) == (3, {"complete": 2, "faulted": 1}, 2)
+    assert (result["resumed"], result["resumed_to"], result["accepted"]) == (4, {"complete": 3, "faulted": 1}, 3)
     assert result["struck_a_displaced_ball"] == 1
-    assert (result["with_a_second_fault"], result["left_to_the_morning"]) == (2, 3)
+    assert (result["with_a_second_fault"], result["left_to_the_morning"]) == (3, 3)
     assert result["left_to_a_person"] == 3
     assert list(result["cannot_be_seen"].values()) == [1]
     with pytest.raises(NotSummableError):  # these nights are no part of a seed

@@ -19,6 +19,7 @@ from agent.execution.rig import Rig
 from agent.execution.run_state import RunStateTracker
 from agent.execution.states import RunState
 from agent.planning.job_preparation import prepare_job
+from agent.runs.guard import attempt
 from agent.runs.origin import Origin, read_origin
 from agent.runs.reconcile import reconcile, unproved_table
 from agent.runs.resume.replay_clock import ResumedClock
@@ -156,11 +157,10 @@ def _note_compensation(rig: Rig, origin: Origin, note: Callable[[str], None]) ->
     """Compare the compensation with the journal after an error, restore it if necessary, and note the result.
 
     The run's own exit path does not suffice: if the replay stopped early, a new table may be active that it had not yet
-    reached in the records.
+    reached in the records. A note that cannot be written does not hide how the run has ended.
     """
     try:
-        found = reconcile(rig, origin.settings.state_directory, of_run=origin.start.run)
+        text = f"compensation: {reconcile(rig, origin.settings.state_directory, of_run=origin.start.run).text}"
     except VolcalError as error:
-        note(f"could not read the controller's compensation: {error}")
-        return
-    note(f"compensation: {found.text}")
+        text = f"could not read the controller's compensation: {error}"
+    attempt("note the compensation", lambda: note(text))

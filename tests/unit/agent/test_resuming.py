@@ -32,7 +32,8 @@ from agent.runs.resume.replay_engine import Replay, ReplayingEngine
 from agent.runs.resume.step_trace import StepTrace
 from agent.runs.unfinished_run import unfinished_run
 from drivers.clock import VirtualClock
-from drivers.errors import CommandRejected, DeadlineExpired, GuardTripped, LinkLost, MotionFault, VolcalError
+from drivers.errors import CommandRejected, DeadlineExpired, GuardTripped, LinkError, LinkLost, MotionFault, VolcalError
+from drivers.links.modbus_transport import DamagedFrame
 from drivers.roles import Miss, Orientation, TableImage, Touch
 
 TABLE = TableImage((0.0, 0.1, 0.2), (1.0, 2.0, 3.0), 1e-4, np.arange(24, dtype=np.int32).reshape(2, 2, 2, 3))
@@ -46,11 +47,27 @@ def journal(tmp_path: Path):
     opened.close()
 
 
+class LinkOfAPlugin(LinkError):
+    """Error that the driver of a third party raises."""
+
+
 def begun(journal: Journal) -> RunJournal:
     run = journal.start_run("run-1", "calibrate", {}, "0", VirtualClock())
     run.origin({"kind": "calibrate"})
     run.begun()
     return run
+
+
+@pytest.mark.parametrize("error", [DamagedFrame("an answer that does not fit"), LinkOfAPlugin("no carrier")])
+def test_a_special_error_of_a_link_is_recorded_as_what_it_is(
+    tmp_path: Path, journal: Journal, error: VolcalError
+) -> None:
+    run = begun(journal)
+    run.fail(MoveTo("measure/ball-04/touch-0/start", (0.0, 0.0, 0.0)), error)
+    run.state(RunState.FAULTED, str(error), final=True)
+    found = unfinished_run(tmp_path)
+    assert found is not None
+    assert found.resumable
 
 
 @pytest.mark.parametrize(
