@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from foreign_files import Folder, rows_of
 
-from agent.runs.from_files.material import read_material
-from agent.runs.from_files.request import IdentificationRequest
+from agent.runs.offline.material import read_material
+from agent.runs.offline.request import IdentificationRequest
 from campaigns.foreign.artefact import STATIONS_MM, measure_at, tilted_bar
 from campaigns.foreign.machine import TOOL, ForeignMachine, foreign_machine
 from drivers.errors import ConfigurationError, InputError

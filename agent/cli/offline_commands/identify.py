@@ -24,9 +24,9 @@ if will_run():
     from agent.figures.heading import subject
     from agent.results.estimation import instrument_warnings, order_text
     from agent.results.gates.required_gates import reasons
-    from agent.runs.from_files.identification import identify_files
-    from agent.runs.from_files.request import DEFAULT_GATES, DEFAULT_MIN_GAIN, DEFAULT_TABLE, IdentificationRequest
-    from agent.runs.from_files.result import IdentificationResult
+    from agent.runs.offline.identification import identify_files
+    from agent.runs.offline.request import DEFAULT_GATES, DEFAULT_MIN_GAIN, DEFAULT_TABLE, IdentificationRequest
+    from agent.runs.offline.result import IdentificationResult
     from agent.settings.load import read_settings
     from agent.settings.schema import IdentificationSettings, Order
     from drivers.clock import utc_timestamp, wall_seconds

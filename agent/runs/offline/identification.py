@@ -20,10 +20,10 @@ from agent.results.gates.gate import Gate
 from agent.results.gates.night_gate import night_gate
 from agent.results.gates.table_gates import gain_gate, table_gates
 from agent.results.table_replacement import ExpectedGain
-from agent.runs.from_files.material import IdentificationInput, read_material
-from agent.runs.from_files.request import IdentificationRequest
-from agent.runs.from_files.result import IdentificationResult
-from agent.runs.from_files.result_texts import TABLE_FILES, result_texts
+from agent.runs.offline.material import IdentificationInput, read_material
+from agent.runs.offline.request import IdentificationRequest
+from agent.runs.offline.result import IdentificationResult
+from agent.runs.offline.result_texts import TABLE_FILES, result_texts
 from agent.runs.result_files import IDENTIFY, REPORT, replaced_results
 from drivers.roles import Activation, StoreLimits
 from twin.errors import DataError

@@ -21,9 +21,9 @@ from agent.results.estimation import (
 from agent.results.facts import ArtefactFacts, TableFacts, triple
 from agent.results.gates.night_gate import night_text
 from agent.results.night_changes import drift_text
-from agent.runs.from_files.material import IdentificationInput
-from agent.runs.from_files.request import IdentificationRequest
-from agent.runs.from_files.result import IdentificationResult
+from agent.runs.offline.material import IdentificationInput
+from agent.runs.offline.request import IdentificationRequest
+from agent.runs.offline.result import IdentificationResult
 from agent.runs.result_files import ESTIMATE_FILE, REPORT
 from twin.compensation.table_file import checksum, format_side_file, format_table
 from twin.identification import Options

@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.files import read_text, translated
 from agent.model_files import load_artefact, load_balls, load_instruments, load_machine
-from agent.runs.from_files.request import IdentificationRequest
+from agent.runs.offline.request import IdentificationRequest
 from agent.thermal.thermometer import ThermometerStatement
 from drivers.errors import ConfigurationError, InputError
 from twin.artefact.artefact import Artefact

@@ -12,7 +12,7 @@ from agent.results.estimation import (
 from agent.results.gates.gate import Gate
 from agent.results.gates.night_gate import night_document
 from agent.results.gates.required_gates import names_of_failed, reasons, require_passed
-from agent.runs.from_files.material import IdentificationInput
+from agent.runs.offline.material import IdentificationInput
 from twin.formats.estimate_file import certificate_document
 
 

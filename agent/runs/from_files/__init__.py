@@ -1,1 +1,0 @@
-"""Identification without a machine: from files with ball centres to files with an estimate, a table and a report."""
