@@ -47,6 +47,10 @@ UNRESTORED = ("could not be made active again", BANK_DOUBTED)
 """Words of which the reason of a run that has not restored the former table must contain one."""
 
 
+NOT_SHOWN = "do not show the effect of the table"
+"""Words of the reason of a run whose proof could not tell the new table from none."""
+
+
 class Start(Enum):
     """Start of volcal in the morning."""
 
@@ -110,7 +114,7 @@ def record_run(run: EndedRun, night: PlannedNight) -> NightRecord:
         written=tuple(injector.written),
         misled_um=_misled_um(scene) if THERMOMETERS.intersection(injector.kinds) else 0.0,
         told_unrestored=any(words in told["reason"] for words in UNRESTORED),
-        unseen=_unseen(scene),
+        unseen=_unseen(scene, told["reason"]),
         killed=run.killed,
         acknowledged_touches=len(injector.acknowledged if run.killed else injector.touches),
         acknowledged_balls=injector.balls,
@@ -131,14 +135,19 @@ def _collisions(scene: FaultScene) -> Iterator[tuple[str, set[str]]]:
         yield f"{one.body_a} with {one.body_b} at {one.time_s:.2f} s", {one.body_a, one.body_b}
 
 
-def _unseen(scene: FaultScene) -> str:
-    """Return why nothing could show the run that the former table does not act; empty if something could."""
+def _unseen(scene: FaultScene, reason: str) -> str:
+    """Return why nothing could show the run that the former table does not act; empty if something could. `reason` is
+    that of its end."""
     journal = scene.journal()
     runs = journal.runs()
     if not runs or FORMER_BANK not in scene.deceived:
         return ""
     if scene.deceived != {FORMER_BANK} and journal.has_decision(runs[-1].run, ("proof",)):
-        return ""  # the proof has measured that the first activation was reported wrongly
+        if NOT_SHOWN not in reason:
+            return ""  # the proof has measured that the first activation was reported wrongly
+        return (
+            "the controller reports the former bank as active, and the tables differ too little for the proof to tell"
+        )
     return "the controller reports the former bank as active, and nothing is measured after its activation"
 
 
