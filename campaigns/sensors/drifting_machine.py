@@ -32,9 +32,9 @@ class DriftingMachine:
     """What n nights have measured of a machine, and what it really did in every hour.
 
     `days` (n,) are the nights. `estimates` (n, p) in µm have the covariance `covariance` (p, p). `readings_c` (n, 4)
-    and `spans_k` (n, 4) are mean and range of the sensors in the night. `explaining` are the sensors of bodies with which
-    the errors change; `decoys` are those whose bodies have nothing to do with the machine; `stuck` those that stick.
-    `true` (h, p) and `hourly_c` (h, 4) are errors and readings of each hour after the first midnight.
+    and `spans_k` (n, 4) are mean and range of the sensors in the night. `explaining` are the sensors of bodies with
+    which the errors change; `decoys` are those whose bodies have nothing to do with the machine; `stuck` those that
+    stick. `true` (h, p) and `hourly_c` (h, 4) are errors and readings of each hour after the first midnight.
     """
 
     kind: Kind

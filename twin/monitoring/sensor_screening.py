@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from twin.arrays import Array
 from twin.errors import DataError
@@ -98,7 +98,7 @@ def _remove_stuck(readings: Array, place: int, others: Array) -> str:
     return found
 
 
-def _others_moved(others: Array, nights: Array) -> bool:
+def _others_moved(others: Array, nights: NDArray[np.intp]) -> bool:
     """Return True if another sensor changed in these nights, or if there is no other one that could tell."""
     spans = [np.ptp(column[np.isfinite(column)]) for column in others[nights].T if np.isfinite(column).any()]
     return not spans or max(spans) > _UNCHANGED_K

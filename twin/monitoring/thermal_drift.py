@@ -23,9 +23,10 @@ from numpy.typing import ArrayLike, NDArray
 from twin.arrays import Array
 from twin.errors import DataError
 from twin.identification import CarriedOverPrior
+from twin.monitoring.drift_evidence import MIN_NIGHTS, MOST_SENSORS, NightlyDrift
 from twin.monitoring.seen_directions import SeenDirections, own_measurement
 from twin.monitoring.sensor_screening import ScreenedSensors, screen_sensors
-from twin.monitoring.thermal_regression import MIN_NIGHTS, MOST_SENSORS, NightlyDrift, ThermalFit, explain_drift
+from twin.monitoring.thermal_regression import ThermalFit, explain_drift
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,9 +148,9 @@ def explain_thermal_drift(
     temperatures = screened.readings_c[:, usable]
     complete = np.flatnonzero(np.isfinite(temperatures).all(axis=1))
     directions = SeenDirections.of(np.mean([one.covariance for one in nights], axis=0), expected)
-    measured = [_measured(nights[at], directions) for at in complete]
+    measured = [_measured(nights[at], directions) for at in complete.tolist()]
     drift = NightlyDrift(
-        np.array([nights[at].day for at in complete]),
+        np.array([nights[at].day for at in complete.tolist()]),
         np.array([value for value, _ in measured]).reshape(-1, len(directions.gains)),
         np.array([variance for _, variance in measured]).reshape(-1, len(directions.gains)),
         temperatures[complete],
