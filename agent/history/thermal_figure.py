@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 COVERAGE = 2.0
 _ERRORS = 2
+_HEADROOM = 0.12  # for the legend, relative to the height of the panel
 _COLOURS = (BLUE, ORANGE, PURPLE, QUIET)
 _SIZE_IN = (9.5, 6.4)
 
@@ -64,7 +65,7 @@ def _error(panel: Axes, drift: SensorDrift, place: int) -> None:
         panel.plot(days, away - middle, color=QUIET, linewidth=0.9, linestyle=":", label="not explained")
     panel.set_title(f"{title_of(drift.history.reference.model.names[place])}, change", loc="left")
     panel.set_ylabel(unit)
-    panel.legend(fontsize="x-small", loc="best", frameon=False)
+    _legend(panel)
 
 
 def _temperatures(panel: Axes, drift: SensorDrift) -> None:
@@ -75,7 +76,7 @@ def _temperatures(panel: Axes, drift: SensorDrift) -> None:
         panel.plot(days, readings[:, place], style, color=_COLOURS[place], linewidth=1.2, label=label)
     panel.set_title("temperatures", loc="left")
     panel.set_ylabel("°C")
-    panel.legend(fontsize="x-small", loc="best", frameon=False)
+    _legend(panel)
 
 
 def _effects(panel: Axes, drift: SensorDrift) -> None:
@@ -106,4 +107,12 @@ def _effects(panel: Axes, drift: SensorDrift) -> None:
     panel.set_yticks(rows, [title_of(drift.history.reference.model.names[place]) for place in places])
     panel.invert_yaxis()
     panel.set_xlabel("µm/K, µrad/K")
-    panel.legend(fontsize="x-small", loc="best", frameon=False)
+    panel.set_ylim(top=-1.2)
+    panel.legend(fontsize="x-small", loc="upper right", frameon=False, ncols=4)
+
+
+def _legend(panel: Axes) -> None:
+    """Draw the legend in one row above the curves."""
+    low, high = panel.get_ylim()
+    panel.set_ylim(low, high + _HEADROOM * (high - low))
+    panel.legend(fontsize="x-small", loc="upper left", frameon=False, ncols=4)

@@ -67,6 +67,55 @@ def thermal_machine(rng: np.random.Generator, days: int) -> ThermalMachine:
     return ThermalMachine(foreign_machine(rng), effects, climate.bodies)
 
 
+@dataclass(frozen=True, eq=False)
+class MeasuredSeason:
+    """Season with its nightly estimates, of which each one after the first is fused with those before.
+
+    `readings_c` (h, 4) are those of the sensors in each hour. `walked` is the machine as it has walked until the last
+    night, at the temperatures of the first one.
+    """
+
+    thermal: ThermalMachine
+    bar: ForeignBar
+    readings_c: Array
+    estimates: tuple[Estimate, ...]
+    nights: tuple[NightEstimate, ...]
+    walked: ForeignMachine
+
+    @staticmethod
+    def hour_of(night: int) -> int:
+        return 24 * night + _NIGHT_HOUR
+
+    @property
+    def last_hour(self) -> int:
+        return self.hour_of(len(self.estimates) - 1)
+
+    def machine_at(self, hours: int) -> ForeignMachine:
+        """Return the true machine so many hours after the last night."""
+        return self.thermal.at(self.last_hour + hours, self.walked)
+
+
+def measured_season(number: int, count: int = _NIGHTS) -> MeasuredSeason:
+    """Measure and fuse the nights of season `number`."""
+    rng = np.random.default_rng([23, number])
+    thermal, bar = thermal_machine(rng, count + 1), tilted_bar(rng)
+    readings = thermal.bodies + rng.normal(0.0, SENSOR_SIGMA_K, thermal.bodies.shape)
+    walked, drift = thermal.start, np.random.default_rng([29, number])
+    estimates: list[Estimate] = []
+    nights: list[NightEstimate] = []
+    for night in range(count):
+        walked = walk(walked, night, drift) if night % 3 == 0 else walked
+        hour = MeasuredSeason.hour_of(night)
+        before = estimates[-1] if estimates else None
+        estimate, fused = _measured_night(thermal.at(hour, walked), bar, night, rng, before)
+        estimates.append(estimate)
+        sigmas = np.full(len(BODIES), SENSOR_SIGMA_K)
+        nights.append(
+            NightEstimate(float(night), estimate.parameters, estimate.covariance, readings[hour], sigmas, fused)
+        )
+    return MeasuredSeason(thermal, bar, readings, tuple(estimates), tuple(nights), walked)
+
+
 @dataclass(frozen=True)
 class HourScore:
     """True and predicted error in µm that is left by the estimate of each of `STATES` at an hour of the day."""
@@ -86,30 +135,14 @@ class SeasonScore:
 
 
 def scored_season(number: int, count: int = _NIGHTS) -> SeasonScore:
-    """Measure, fuse and explain the nights of season `number`, and estimate the machine at hours of the last day."""
-    rng = np.random.default_rng([23, number])
-    thermal, bar = thermal_machine(rng, count + 1), tilted_bar(rng)
-    readings = thermal.bodies + rng.normal(0.0, SENSOR_SIGMA_K, thermal.bodies.shape)
-    walked, drift = thermal.start, np.random.default_rng([29, number])
-    estimate: Estimate | None = None
-    nights: list[NightEstimate] = []
-    for night in range(count):
-        walked = walk(walked, night, drift) if night % 3 == 0 else walked
-        hour = 24 * night + _NIGHT_HOUR
-        machine = thermal.at(hour, walked)
-        estimate, fused = _measured_night(machine, bar, night, rng, estimate)
-        sigmas = np.full(len(BODIES), SENSOR_SIGMA_K)
-        nights.append(
-            NightEstimate(float(night), estimate.parameters, estimate.covariance, readings[hour], sigmas, fused)
-        )
-    assert estimate is not None
-    found = explain_thermal_drift(nights, BODIES, np.diag(_FAMILY.prior_standard_deviation**2))
-    last = 24 * (count - 1) + _NIGHT_HOUR
+    """Explain the nights of season `number`, and estimate the machine at hours of the last day."""
+    season, rng = measured_season(number, count), np.random.default_rng([31, number])
+    found = explain_thermal_drift(season.nights, BODIES, np.diag(_FAMILY.prior_standard_deviation**2))
+    estimate, last, readings = season.estimates[-1], season.last_hour, season.readings_c
     hours = []
     for later in HOURS:
-        machine = thermal.at(last + later, walked)
         moved = _moved(found, estimate, readings[last], readings[last + later], later)
-        hours.append(_hour_score(later, machine, bar, rng, estimate, moved))
+        hours.append(_hour_score(later, season.machine_at(later), season.bar, rng, estimate, moved))
     return SeasonScore(number, found.taken, tuple(hours))
 
 
