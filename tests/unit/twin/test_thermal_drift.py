@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_t
@@ -65,7 +67,7 @@ class TestEvidence:
         """The formula above, against scipy: a proper prior of the variance with few degrees of freedom."""
         scale = np.array([[2.0, 0.3], [0.3, 1.0]])
         points = np.array([[1.0, 0.5], [-2.0, 1.0]])
-        nu = 1e-9
+        nu: Any = 1e-9
         densities = [multivariate_t(shape=nu * scale, df=nu).logpdf(point) for point in points]
         squares = [point @ np.linalg.solve(scale, point) for point in points]
         assert densities[0] - densities[1] == pytest.approx(-np.log(squares[0] / squares[1]), rel=1e-5)
