@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # must be set before numpy is imported
@@ -25,6 +26,7 @@ from campaigns.sensors.drifting_machine import (
     drifting_machine,
 )
 from campaigns.sensors.hall_climate import Array
+from campaigns.sensors.table_file import write_rows
 from twin.errors import DataError
 from twin.monitoring.thermal_drift import NightEstimate, ThermalDrift, explain_thermal_drift
 
@@ -42,12 +44,13 @@ class JudgedMachine:
 
     `taken` is the number of sensors that explain its drift, `decoys` how many of them have nothing to do with it, and
     `stuck` how many of them stick. `rms_um` contains for each of `HOURS` the rms over the seen errors of truth minus
-    the last night, truth minus prediction by the sensors, and the noise of the last night itself. `inside` and
-    `stated` are the number of predicted values inside their 95 % band, and of all of them. `left_out` contains the mean
-    squares of nights that were left out, with and without sensors.
+    the last night, and of truth minus prediction by the sensors. `inside` and `stated` are the number of predicted
+    values inside their 95 % band, and of all of them. `left_out` contains the mean squares in µm² of nights that were
+    left out, with and without sensors.
     """
 
     kind: Kind
+    number: int
     refused: str
     nights: int
     taken: int
@@ -65,12 +68,13 @@ def judged(kind: Kind, number: int) -> JudgedMachine:
     try:
         found = explained(machine, len(machine.days))
     except DataError as error:
-        return JudgedMachine(kind, error.message, len(machine.days), 0, 0, 0, (), 0, 0, (0.0, 0.0))
+        return JudgedMachine(kind, number, error.message, len(machine.days), 0, 0, 0, (), 0, 0, (0.0, 0.0))
     taken = {machine.sensors.index(name) for name in found.taken}
     rms, inside, stated = _hours_predicted(machine)
     squares = [float(np.mean(one**2)) for one in found.left_out]
     return JudgedMachine(
         kind,
+        number,
         "",
         len(machine.days),
         len(taken),
@@ -158,10 +162,44 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m campaigns.sensors", description=__doc__)
     parser.add_argument("--machines", type=int, default=60, help="machines of each of the four kinds")
     parser.add_argument("--first", type=int, default=FIRST, help="number of the first machine")
+    parser.add_argument("--csv", type=Path, help="file for one row per machine")
     parser.add_argument("--workers", type=int, help="processes; as many as processors if not given")
     asked = parser.parse_args(arguments)
     numbers = range(asked.first, asked.first + asked.machines)
     with ProcessPoolExecutor(asked.workers) as workers:
-        found = {kind: summary(list(workers.map(partial(judged, kind), numbers, chunksize=2))) for kind in KINDS}
-    print(json.dumps(found))
+        found = {kind: list(workers.map(partial(judged, kind), numbers, chunksize=2)) for kind in KINDS}
+    if asked.csv is not None:
+        write_rows(asked.csv, [row_of(one) for machines in found.values() for one in machines])
+    print(json.dumps({kind: summary(machines) for kind, machines in found.items()}))
     return 0
+
+
+def row_of(one: JudgedMachine) -> dict[str, str]:
+    """Return the row of a machine in the table of the documents."""
+    hours = {
+        f"{name}_{hour}_um": f"{pair[column]:.5g}"
+        for hour, pair in zip(HOURS, one.rms_um, strict=False)
+        for column, name in enumerate(("drift", "left"))
+    }
+    return {
+        **{
+            name: str(getattr(one, name))
+            for name in ("kind", "number", "refused", "nights", "taken", "decoys", "stuck")
+        },
+        **hours,
+        "inside": str(one.inside),
+        "stated": str(one.stated),
+        "left_out_with_um2": f"{one.left_out[0]:.5g}",
+        "left_out_without_um2": f"{one.left_out[1]:.5g}",
+    }
+
+
+def machine_of(row: Mapping[str, str]) -> JudgedMachine:
+    """Return the machine of a row."""
+    (kind,) = (known for known in KINDS if known == row["kind"])
+    number, nights, taken, decoys, stuck, inside, stated = (
+        int(row[name]) for name in ("number", "nights", "taken", "decoys", "stuck", "inside", "stated")
+    )
+    rms = tuple((float(row[f"drift_{hour}_um"]), float(row[f"left_{hour}_um"])) for hour in HOURS)
+    left_out = (float(row["left_out_with_um2"]), float(row["left_out_without_um2"]))
+    return JudgedMachine(kind, number, row["refused"], nights, taken, decoys, stuck, rms, inside, stated, left_out)

@@ -6,9 +6,10 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # must be set before numpy is imported
@@ -21,6 +22,7 @@ from campaigns.foreign.nights import sloped_machine, walk
 from campaigns.foreign.score import family_of, true_error_um
 from campaigns.sensors.drifting_machine import SENSOR_SIGMA_K
 from campaigns.sensors.hall_climate import BODIES, Array, hall_climate
+from campaigns.sensors.table_file import write_rows
 from twin.identification import CarriedOverPrior, Estimate, Options, identify, process_noise
 from twin.identification.predicted import expected_vce, field_forms
 from twin.monitoring.night_fit import compare_with_nights_before
@@ -215,12 +217,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m campaigns.sensors.measured_season", description=__doc__)
     parser.add_argument("--seasons", type=int, default=20)
     parser.add_argument("--first", type=int, default=FIRST, help="number of the first season")
+    parser.add_argument("--csv", type=Path, help="file for one row per season and hour")
     parser.add_argument("--workers", type=int, help="processes; as many as processors if not given")
     asked = parser.parse_args(arguments)
     with ProcessPoolExecutor(asked.workers) as workers:
         found = list(workers.map(scored_season, range(asked.first, asked.first + asked.seasons)))
+    if asked.csv is not None:
+        write_rows(asked.csv, [row for one in found for row in rows_of_season(one)])
     print(json.dumps(summary(found)))
     return 0
+
+
+def rows_of_season(one: SeasonScore) -> list[dict[str, str]]:
+    """Return the rows of a season in the table of the documents, one per hour."""
+    return [
+        {"season": str(one.number), "taken": " ".join(one.taken), "hour": str(score.hour)}
+        | {f"true_{name}_um": f"{value:.5g}" for name, value in zip(STATES, score.true_um, strict=True)}
+        | {f"stated_{name}_um": f"{value:.5g}" for name, value in zip(STATES, score.predicted_um, strict=True)}
+        for score in one.hours
+    ]
+
+
+def seasons_of(rows: Sequence[Mapping[str, str]]) -> list[SeasonScore]:
+    """Return the seasons of such rows."""
+    found: dict[int, SeasonScore] = {}
+    for row in rows:
+        number = int(row["season"])
+        true, stated = (tuple(float(row[f"{kind}_{name}_um"]) for name in STATES) for kind in ("true", "stated"))
+        before = found.get(number, SeasonScore(number, tuple(row["taken"].split()), ()))
+        found[number] = replace(before, hours=(*before.hours, HourScore(int(row["hour"]), true, stated)))
+    return list(found.values())
 
 
 if __name__ == "__main__":
