@@ -62,7 +62,7 @@ APART = (
     "agent/planning/new_machine",
     "agent/planning/preview",
     "agent/runs/new_machine_files.py",
-    "agent/runs/offline_identification.py",
+    "agent/runs/offline/identification.py",
     "agent/results/part_programs.py",
     "agent/service/page/setup_app.py",
     "agent/service/gateway/registers.py",

@@ -25,7 +25,7 @@ if will_run():
 
 if TYPE_CHECKING:
     from agent.history.sensor_drift import SensorDrift
-    from agent.runs.machine_now import ExpectedErrors, MachineNow
+    from agent.runs.offline.machine_now import ExpectedErrors, MachineNow
 
 _sensor = click.option(
     "--sensor",
@@ -115,7 +115,7 @@ def now_command(
     Writes predicted.json, and with positions estimate.json, which are estimates like that of a run.
     """
     from agent.history.sensor_drift import sensor_drift  # noqa: PLC0415  mathematics that the list of runs needs not
-    from agent.runs.machine_now import NowRequest, machine_now  # noqa: PLC0415
+    from agent.runs.offline.machine_now import NowRequest, machine_now  # noqa: PLC0415
 
     moment = datetime.fromisoformat(utc_timestamp()) if at is None else at
     with opened_history(config) as (settings, store):

@@ -81,7 +81,7 @@ class SensorDrift:
 
     @cached_property
     def predicted(self) -> PredictedNights:
-        """How well left-out nights are predicted."""
+        """Errors of the prediction of left-out nights."""
         squares = [UM_PER_MM**2 * np.einsum("np,pq,nq->n", one, self.form, one) for one in self.found.left_out]
         with_sensors, without = squares
         gain = without - with_sensors

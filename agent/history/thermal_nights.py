@@ -14,7 +14,7 @@ from agent.files import present_file, read_text, translated
 from agent.history.schema import StoredRun, StoredTemperature, utc_time
 from agent.history.series import CHANGED_MACHINE, nights_of
 from agent.model_files import load_machine
-from agent.results.expected_walk import expected_walk
+from agent.planning.expected_walk import expected_walk
 from agent.settings.schema import Settings
 from agent.workpiece.estimate_and_table import ESTIMATE_NAME
 from drivers.errors import InputError

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.planning.expected_walk import expected_walk
 from agent.planning.job import Job
-from agent.results.expected_walk import expected_walk
 from agent.runs.reference_state import ReferenceState
 from twin.arrays import Array
 from twin.artefact.observations import Observations

@@ -29,7 +29,7 @@ _DECOYS_FROM = 2
 
 @dataclass(frozen=True, eq=False)
 class DriftingMachine:
-    """What n nights have measured of a machine, and what it really did in every hour.
+    """Measurements of a machine in n nights, and what it really did in every hour.
 
     `days` (n,) are the nights. `estimates` (n, p) in µm have the covariance `covariance` (p, p). `readings_c` (n, 4)
     and `spans_k` (n, 4) are mean and range of the sensors in the night. `explaining` are the sensors of bodies with

@@ -9,11 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_files import Folder, rows_of
+from foreign_files import Folder
 
 from agent.results.gates import COMMON_SCALE, estimate_gates, names_of_failed
 from agent.settings.schema import GateSettings
 from campaigns.foreign.artefact import CTE_PER_K, S3, ForeignBar, measure, straight_bar, tilted_bar
+from campaigns.foreign.files import rows_of
 from campaigns.foreign.machine import ForeignMachine, foreign_machine
 from campaigns.foreign.score import family_of
 from twin.artefact.observations import Observations

@@ -91,7 +91,7 @@ class NightlyDrift:
 
 
 @dataclass(frozen=True, eq=False)
-class Direction:
+class DriftDirection:
     """One direction: the nights that saw it (m,), and for each of k values of q its whitened form without its levels.
 
     `log_base` (k,) is the part of ln p without sensors, `freedom` is n - l, `square` (k,) is yᵀy, `gram` (k, s, s) is G
@@ -106,7 +106,7 @@ class Direction:
     product: Array
 
     @classmethod
-    def of(cls, drift: NightlyDrift, place: int) -> Direction | None:
+    def of(cls, drift: NightlyDrift, place: int) -> DriftDirection | None:
         """Return None if too few nights saw the direction."""
         nights = np.flatnonzero(np.isfinite(drift.variances[:, place]))
         if len(nights) < MIN_NIGHTS:

@@ -31,7 +31,7 @@ _UNCHANGED_K = 1e-9
 
 @dataclass(frozen=True)
 class SensorVerdict:
-    """Whether the readings of a sensor can be used, and why not. `reason` is empty if they can.
+    """Verdict on a sensor: the reason why its readings cannot be used, which is empty if they can.
 
     `left_out` is the number of nights whose reading is not used: missing, stuck, or a jump.
     """

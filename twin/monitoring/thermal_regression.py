@@ -20,7 +20,7 @@ from scipy.special import logsumexp
 
 from twin.arrays import Array
 from twin.errors import DataError
-from twin.monitoring.drift_evidence import RIDGES, WALKS, Direction, NightlyDrift, level_columns, walk_covariance
+from twin.monitoring.drift_evidence import RIDGES, WALKS, DriftDirection, NightlyDrift, level_columns, walk_covariance
 
 ODDS = 20.0
 """Factor by which a sensor must multiply the evidence to be taken."""
@@ -89,7 +89,7 @@ def _spread_k2(difference: Array) -> float:
 def explain_drift(drift: NightlyDrift) -> ThermalFit:
     """Explain the drift by the sensors that the evidence supports. Raises DataError if too few nights saw any of the
     directions."""
-    found = [Direction.of(drift, place) for place in range(drift.values.shape[1])]
+    found = [DriftDirection.of(drift, place) for place in range(drift.values.shape[1])]
     directions = [one for one in found if one is not None]
     if not directions:
         raise DataError("too few nights have seen the same errors of the machine", hint="measure the same positions")
@@ -132,7 +132,7 @@ def _without(taken: tuple[int, ...], place: int) -> tuple[int, ...]:
     return tuple(one for one in taken if one != place)
 
 
-def _log_evidence(directions: Sequence[Direction], chosen: tuple[int, ...]) -> tuple[float, float]:
+def _log_evidence(directions: Sequence[DriftDirection], chosen: tuple[int, ...]) -> tuple[float, float]:
     """Return the log evidence of a set of sensors, and the likeliest share ω of directions that respond."""
     none = np.array([_mean_log(one.log_evidence(())) for one in directions])
     if not chosen:
@@ -156,7 +156,7 @@ class _Model:
     ridge: float
 
 
-def _models(one: Direction, chosen: tuple[int, ...], share: float) -> tuple[list[_Model], Array]:
+def _models(one: DriftDirection, chosen: tuple[int, ...], share: float) -> tuple[list[_Model], Array]:
     """Return the models of a direction and their probabilities (m,)."""
     walks = range(len(WALKS))
     models, logs = [_Model(q, (), 1.0) for q in walks], one.log_evidence(()).ravel()
@@ -167,7 +167,9 @@ def _models(one: Direction, chosen: tuple[int, ...], share: float) -> tuple[list
     return models, np.exp(logs - logsumexp(logs))
 
 
-def _posterior(one: Direction, chosen: tuple[int, ...], share: float, scale_k: float) -> tuple[Array, Array, float]:
+def _posterior(
+    one: DriftDirection, chosen: tuple[int, ...], share: float, scale_k: float
+) -> tuple[Array, Array, float]:
     """Return mean (s,) and covariance (s, s) of the coefficients per K and the variance of the walk per day, averaged
     over all models of the direction."""
     models, weights = _models(one, chosen, share)
@@ -183,7 +185,7 @@ def _posterior(one: Direction, chosen: tuple[int, ...], share: float, scale_k: f
     return mean / scale_k, covariance / scale_k**2, walk
 
 
-def _left_out(drift: NightlyDrift, place: int, one: Direction, chosen: tuple[int, ...]) -> Array:
+def _left_out(drift: NightlyDrift, place: int, one: DriftDirection, chosen: tuple[int, ...]) -> Array:
     """Return the differences of the nights from their prediction by all other nights, for the likeliest model.
 
     With P = V⁻¹ - V⁻¹F(FᵀV⁻¹F)⁻¹FᵀV⁻¹ they are (P y)_k / P_kk (Dubrule, Mathematical Geology 15, 1983), where V

@@ -24,7 +24,7 @@ if will_run():
     from agent.figures.heading import subject
     from agent.results.estimation import instrument_warnings, order_text
     from agent.results.gates import reasons
-    from agent.runs.offline_identification import (
+    from agent.runs.offline.identification import (
         DEFAULT_GATES,
         DEFAULT_MIN_GAIN,
         DEFAULT_TABLE,

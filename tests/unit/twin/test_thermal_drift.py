@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import multivariate_t
 
 from twin.errors import DataError
-from twin.monitoring.drift_evidence import MIN_NIGHTS, RIDGES, WALKS, Direction, NightlyDrift
+from twin.monitoring.drift_evidence import MIN_NIGHTS, RIDGES, WALKS, DriftDirection, NightlyDrift
 from twin.monitoring.seen_directions import SeenDirections, own_measurement
 from twin.monitoring.sensor_screening import screen_sensors
 from twin.monitoring.thermal_drift import NightEstimate, explain_thermal_drift
@@ -39,7 +39,7 @@ class TestEvidence:
         rng = np.random.default_rng(1)
         temperatures, y = weather(rng, 12, 2), rng.standard_normal(12)
         given = drift(y[:, None], temperatures)
-        found = Direction.of(given, 0)
+        found = DriftDirection.of(given, 0)
         assert found is not None
         contrasts = np.linalg.svd(np.ones((1, 12)))[2][1:]  # free of the level
         x = (temperatures - temperatures.mean(axis=0)) / np.sqrt(

@@ -15,7 +15,7 @@ import numpy as np
 
 from agent.files import check_folder, read_text, translated, write_all_atomically
 from agent.history.sensor_drift import SensorDrift
-from agent.runs.offline_identification import IdentificationRequest, IdentificationResult, identify_files
+from agent.runs.offline.identification import IdentificationRequest, IdentificationResult, identify_files
 from agent.settings.schema import Settings
 from agent.workpiece.estimate_and_table import ESTIMATE_NAME
 from drivers.errors import InputError
