@@ -134,13 +134,14 @@ def _show_drift(drift: SensorDrift) -> None:
         f"{drift.dates[-1]:%Y-%m-%d}",
         markup=False,
     )
-    shown = columns_table(("sensor", "", "evidence (ln)", "field, µm/K", "reason"), whole=("sensor",))
+    shown = columns_table(("sensor", "", "evidence (ln)", "field, µm/K", "nights out", "reason"), whole=("sensor",))
     for one in drift.sensors:
         shown.add_row(
             one.name,
             "explains" if one.taken else "left out",
             "" if one.log_evidence is None else f"{one.log_evidence:+.1f}",
             "" if one.field_um_per_k is None else f"{one.field_um_per_k:.2f}",
+            str(one.nights_left_out),
             one.reason,
         )
     console.print(shown)
