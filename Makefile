@@ -65,7 +65,7 @@ bench: setup
 # Machines in halls that share no code with the program: which temperature sensors explain their drift, and the machine by
 # day. A quarter of an hour of CPU time; each ends with one line of JSON.
 sensors: setup
-	$(BIN)/python -m campaigns.sensors --machines 60
+	$(BIN)/python -m campaigns.sensors --machines 50
 	$(BIN)/python -m campaigns.sensors.measured_season --seasons 16
 
 # A season of nights on a simulated machine that drifts and is hit once; ends with one line of JSON.

@@ -160,7 +160,7 @@ def _percent(found: Sequence[bool]) -> float:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Judge machines of all kinds, and print the shares as one line of JSON."""
     parser = argparse.ArgumentParser(prog="python -m campaigns.sensors", description=__doc__)
-    parser.add_argument("--machines", type=int, default=60, help="machines of each of the four kinds")
+    parser.add_argument("--machines", type=int, default=50, help="machines of each of the four kinds")
     parser.add_argument("--first", type=int, default=FIRST, help="number of the first machine")
     parser.add_argument("--csv", type=Path, help="file for one row per machine")
     parser.add_argument("--workers", type=int, help="processes; as many as processors if not given")
