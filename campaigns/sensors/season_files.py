@@ -41,6 +41,10 @@ operator = "twin"
 
 [stations]
 places_mm = [[560.0, 900.0, 750.0]]
+
+[nightly]  # the walk with which the nights of the season were fused
+drift_um = 0.5
+scale_drift_um_per_m = 0.0
 """
 
 
