@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup run test quick long-forms check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming foreign instruments joined-instruments linuxcnc grbl faults endurance crash-points power-cuts requests fuzz fuzz-guided http-interface gcode part-programs schema reference figures audit wheel deb deb-test sbom reproducible release clean
+.PHONY: setup run test quick long-forms check lint types contracts dead-code bench nights sensors fortnight plans bad-plans aborts resumes warming foreign instruments joined-instruments linuxcnc grbl faults endurance crash-points power-cuts requests fuzz fuzz-guided http-interface gcode part-programs schema reference figures audit wheel deb deb-test sbom reproducible release clean
 
 setup: $(STAMP)
 
@@ -61,6 +61,12 @@ check: setup
 
 bench: setup
 	$(BIN)/python -m benchmarks
+
+# Machines in halls that share no code with the program: which temperature sensors explain their drift, and the machine by
+# day. A quarter of an hour of CPU time; each ends with one line of JSON.
+sensors: setup
+	$(BIN)/python -m campaigns.sensors --machines 50
+	$(BIN)/python -m campaigns.sensors.measured_season --seasons 16
 
 # A season of nights on a simulated machine that drifts and is hit once; ends with one line of JSON.
 NIGHTS ?= 30

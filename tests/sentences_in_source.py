@@ -62,6 +62,8 @@ APART = (
     "agent/planning/new_machine",
     "agent/planning/preview",
     "agent/runs/new_machine_files.py",
+    "agent/history/sensor_drift.py",
+    "agent/history/thermal_nights.py",
     "agent/runs/offline",
     "agent/results/part_programs.py",
     "agent/service/page/setup_app.py",
@@ -73,7 +75,13 @@ APART = (
     "twin/formats/digital_certificate",
     "twin/identification/hidden_step.py",
     "twin/identification/checks/shift_pattern.py",
+    "twin/formats/moved_estimate.py",
+    "twin/monitoring/drift_evidence.py",
+    "twin/monitoring/seen_directions.py",
+    "twin/monitoring/sensor_screening.py",
     "twin/monitoring/step_power.py",
+    "twin/monitoring/thermal_drift.py",
+    "twin/monitoring/thermal_regression.py",
 )
 """Places in those rooms that a command or a test alone calls, before there is a machine, or that have only parts of
 sentences: the whole ones are in agent/language/german/composed.json."""

@@ -5,8 +5,8 @@ their results change over time.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager, nullcontext
+from collections.abc import Sequence
+from contextlib import closing, nullcontext
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,12 +16,14 @@ import click
 from agent.cli.errors import VolcalGroup, fail, reported
 from agent.cli.invocation import will_run
 from agent.cli.options import PATH, config_option
+from agent.cli.thermal_history import now_command, thermal_command
 from agent.language.sentences import LANGUAGES, Language
 
 if will_run():
     from rich.table import Table
 
     from agent.cli.comparison_tables import comparison_tables
+    from agent.cli.opened_history import opened_history
     from agent.cli.printing import columns_table, results_console
     from agent.errors import MeasurementFault
     from agent.execution.journal_compaction import journal_bytes, release_space
@@ -32,9 +34,8 @@ if will_run():
     from agent.history.retention import Compaction, compact, due_runs
     from agent.history.schema import StoredRun
     from agent.history.store import HistoryStore
-    from agent.history.sync import sync, sync_ends
+    from agent.history.sync import sync
     from agent.settings.load import naming, read_settings
-    from agent.settings.schema import Settings
     from drivers.clock import utc_timestamp
     from drivers.errors import InputError
 
@@ -61,7 +62,7 @@ def history_group() -> None:
 @reported
 def list_command(config: Path, machine: str | None, last: int, as_json_object: bool) -> None:
     """List the runs, the newest last."""
-    with _opened(config) as (_, store):
+    with opened_history(config) as (_, store):
         runs = store.runs(machine or store.address.machine, last, whole=False)
     if as_json_object:
         click.echo(json.dumps({"runs": [run_document(run, whole=False) for run in runs]}, allow_nan=False))
@@ -91,7 +92,7 @@ def trend_command(
     from agent.history.overview import alarms_of, most_relevant, select_trends, trends_of  # noqa: PLC0415
     from agent.history.trends import AlarmKind  # noqa: PLC0415
 
-    with _opened(config) as (settings, store):
+    with opened_history(config) as (settings, store):
         runs = store.runs(machine or store.address.machine)
         trends = trends_of(runs, settings.history)
     if not trends:
@@ -118,6 +119,10 @@ def trend_command(
     if grave:
         hints = dict.fromkeys(hint_of(alarm, actions) for alarm in grave)  # each of them once
         raise fail(MeasurementFault("; ".join(alarm.text for alarm in grave), hint="; ".join(hints)))
+
+
+history_group.add_command(thermal_command)
+history_group.add_command(now_command)
 
 
 @history_group.command("compare")
@@ -156,7 +161,7 @@ def plant_command(config: Path, html: Path | None, language: Language | None, as
     from agent.reports.plant_page import drift_text, plant_html  # noqa: PLC0415
 
     now = datetime.fromisoformat(utc_timestamp())
-    with _opened(config) as (settings, store):
+    with opened_history(config) as (settings, store):
         machines = plant_summaries(store.recent_runs(RECENT_RUNS), now)
     if html is not None:
         write_atomically(html, plant_html(machines, store.address.text, now, language or settings.report.language))
@@ -182,7 +187,7 @@ def plant_command(config: Path, html: Path | None, language: Language | None, as
 @reported
 def export_command(config: Path, machine: str | None, form: str, out: Path) -> None:
     """Export all runs into one file: CSV with one line per run, or JSON with everything that is stored."""
-    with _opened(config) as (_, store):
+    with opened_history(config) as (_, store):
         runs = store.runs(machine or store.address.machine)
     write_atomically(out, as_csv(runs) if form == "csv" else as_json(runs))
     click.echo(f"{len(runs)} runs: {out}", err=True)
@@ -236,22 +241,6 @@ def compact_command(config: Path, dry_run: bool, as_json_object: bool) -> None:
     left = f"; {len(found) - len(done)} cannot be compacted" if len(found) > len(done) else ""
     what = "would be compacted" if dry_run else f"compacted; journal {before / MB:.1f} MB, now {after / MB:.1f} MB"
     click.echo(f"{len(done)} runs {what}{left}", err=True)
-
-
-@contextmanager
-def _opened(config: Path) -> Iterator[tuple[Settings, HistoryStore]]:
-    """Yield the settings and the open history store. The store is first updated from the journal of this machine.
-
-    If the journal is missing, no error is raised.
-    """
-    with naming(config):
-        settings = read_settings(config)
-        with closing(HistoryStore(database_address(settings))) as store:
-            try:
-                sync_ends(settings.state_directory, store)
-            except InputError as error:
-                click.echo(f"note: {error}", err=True)
-            yield settings, store
 
 
 def _cells(run: StoredRun) -> list[str]:

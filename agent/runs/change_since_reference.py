@@ -7,18 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.planning.expected_walk import expected_walk
 from agent.planning.job import Job
 from agent.runs.reference_state import ReferenceState
 from twin.arrays import Array
 from twin.artefact.observations import Observations
-from twin.identification import CarriedOverPrior, Estimate, Options, process_noise
+from twin.identification import CarriedOverPrior, Estimate, Options
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import deviation_basis
 from twin.machine.volumetric import QuadraticForm, evaluation_grid, volumetric_error
 from twin.monitoring.night_fit import NightFit, compare_with_nights_before
 from twin.units import MM_PER_UM
-
-SCALES = ("EXX[1]", "EYY[1]", "EZZ[1]")
 
 
 @dataclass(frozen=True)
@@ -36,14 +35,7 @@ class Change:
 def night_noise(job: Job, model: ErrorModel) -> Array:
     """Return the standard deviation of the change of each of the p parameters of the error model in one night (24 h),
     as an array (p,) in mm or rad."""
-    chosen = job.settings.nightly
-    family = job.machine.with_model(model).family
-    noise = process_noise(family, MM_PER_UM * chosen.drift_um, job.tool_offset_mm)
-    for name, (low, high) in zip(SCALES, model.ranges_mm, strict=True):
-        index = model.names.index(name)
-        # The coefficient of degree 1 is half the change of length over the axis range: 1 µm/m is 0.5e-6 of the range.
-        noise[index] = np.hypot(noise[index], 0.5e-6 * chosen.scale_drift_um_per_m * (high - low))
-    return noise
+    return expected_walk(job.machine.with_model(model), job.tool_offset_mm, job.settings.nightly)
 
 
 def prior_tonight(job: Job, reference: ReferenceState, nights: float) -> CarriedOverPrior:

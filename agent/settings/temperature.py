@@ -32,6 +32,10 @@ class TemperatureSettings(StrictModel):
     `scale_um_per_m_k` for the scales of the axes, `bending_um_per_m_k` for bending and tilt of guides, and
     `tip_um_per_k` for the position of the tip. The position of the tip includes the growth of the scales at mid-travel.
 
+    `drift_sensors` are up to four thermometers of the machine whose temperatures `volcal history thermal` compares with
+    the drift between nights; if none is named, all that were recorded except those of the artefact are used.
+    `drift_sensor_uncertainty_k` is the standard uncertainty of their changes from night to night.
+
     The first `repeat_positions` positions at the first station are measured again at the end of the run if the machine
     temperature has changed by at least `repeat_after_change_k`.
     """
@@ -51,6 +55,8 @@ class TemperatureSettings(StrictModel):
     scale_um_per_m_k: float = Field(default=12.0, gt=0.0, le=100.0)
     bending_um_per_m_k: float = Field(default=0.7, gt=0.0, le=100.0)
     tip_um_per_k: float = Field(default=30.0, gt=0.0, le=500.0)
+    drift_sensors: list[Sensor] = Field(default=[], max_length=4)
+    drift_sensor_uncertainty_k: float = Field(default=0.1, gt=0.0, le=5.0)
     repeat_after_change_k: float = Field(default=0.5, ge=0.0, le=20.0)
     repeat_positions: int = Field(default=3, ge=1, le=20)
 

@@ -58,7 +58,7 @@ def drift(error: str, per_night: float, first_night: int = 1) -> Change:
     """
 
     def change(machine: ForeignMachine, night: int, rng: np.random.Generator) -> ForeignMachine:
-        return _sloped(machine, error, per_night) if night >= first_night else machine
+        return sloped_machine(machine, error, per_night) if night >= first_night else machine
 
     return change
 
@@ -71,7 +71,7 @@ def step(error: str, size: float, at: int = STEP_NIGHT) -> Change:
         if night != at:
             return machine
         if error in _SQUARENESS:
-            return _sloped(machine, error, size)
+            return sloped_machine(machine, error, size)
         axis, component = _place_of(error)
         bent = np.zeros((6, _WAVES))
         bent[component, 1] = size
@@ -123,7 +123,9 @@ def _place_of(error: str) -> tuple[int, int]:
     return "XYZ".index(error[2]), "XYZABC".index(error[1])
 
 
-def _sloped(machine: ForeignMachine, error: str, amount: float) -> ForeignMachine:
+def sloped_machine(machine: ForeignMachine, error: str, amount: float) -> ForeignMachine:
+    """Return the machine after one error has changed by `amount` in mm or rad: a squareness, or an error motion that
+    turns into a straight line over the travel."""
     if error in _SQUARENESS:
         return replace(machine, squareness=machine.squareness + amount * np.eye(3)[_SQUARENESS.index(error)])
     axis, component = _place_of(error)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from simulators.temperatures import ThermalSettings
 from simulators.world.field import ZERO, FieldOfMany
 from simulators.world.noise import generator
-from simulators.world.thermal_state import ThermalState
+from simulators.world.thermal_state import S_PER_H, ThermalState
 from twin.arrays import Array
 from twin.collision.geometry import Point
 from twin.machine.error_model import Ranges
@@ -44,14 +46,19 @@ class ThermalEffects:
         """Return the thermometer reading in °C of each sensor by its name, including lag, offset and noise of the
         sensor.
         """
-        s = self._settings
-        # a sensor shows the temperature of `sensor_lag_s` ago
-        then_s = max(now_s - s.sensor_lag_s, 0.0)
-        readings = {ARTEFACT: self.state.artefact_c(then_s), MACHINE: self.state.machine_c(then_s)}
-        readings[AMBIENT] = self.state.ambient_c(then_s)
+        s, state = self._settings, self.state
+        bodies = {ARTEFACT: state.artefact_c, MACHINE: state.machine_c, AMBIENT: state.ambient_c}
         for number in range(2, s.artefact_sensors + 1):
-            readings[f"{ARTEFACT}-{number}"] = readings[ARTEFACT]
-        return {name: value + self._error_k(name, now_s) for name, value in readings.items()}
+            bodies[f"{ARTEFACT}-{number}"] = state.artefact_c
+        for name in s.body_time_constants_h:
+            bodies[name] = partial(state.body_c, name)
+        return {name: self._reading_c(name, true_c, now_s) for name, true_c in bodies.items()}
+
+    def _reading_c(self, name: str, true_c: Callable[[float], float], now_s: float) -> float:
+        """Return the reading of one thermometer at a body whose true temperature is `true_c(seconds)`."""
+        shown_s = min(now_s, S_PER_H * self._settings.sensor_stuck_after_h.get(name, math.inf))
+        # a sensor shows the temperature of `sensor_lag_s` ago
+        return true_c(max(shown_s - self._settings.sensor_lag_s, 0.0)) + self._error_k(name, shown_s)
 
     def _error_k(self, name: str, now_s: float) -> float:
         s = self._settings

@@ -44,6 +44,11 @@ class ThermalState:
         s = self._settings
         return self._change_k(now_s, s.machine_time_constant_h, s.machine_k_per_h)
 
+    def body_c(self, name: str, now_s: float) -> float:
+        """Return the temperature in °C of a body of the machine that has a thermometer of its own."""
+        s = self._settings
+        return s.machine_c + self._change_k(now_s, s.body_time_constants_h[name], s.machine_k_per_h)
+
     def column_change_k(self, now_s: float) -> float:
         """Return the change in K, since the start of the simulation, of the temperature difference between the two
         sides of the column.

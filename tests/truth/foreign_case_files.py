@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from foreign_files import artefact_text, ball_text, machine_text, rows_of
 from scipy.interpolate import RegularGridInterpolator
 
 from campaigns.foreign.artefact import STATIONS_MM, measure, tilted_bar
+from campaigns.foreign.files import artefact_text, ball_text, machine_text, rows_of
 from campaigns.foreign.machine import TOOL, ForeignMachine, aligned_rms_um, foreign_machine, grid
 
 

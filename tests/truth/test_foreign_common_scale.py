@@ -9,13 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_files import Folder, rows_of
+from foreign_files import Folder
 
 from agent.results.gates.estimate_gates import estimate_gates
 from agent.results.gates.gate_rules import COMMON_SCALE
 from agent.results.gates.required_gates import names_of_failed
 from agent.settings.schema import GateSettings
 from campaigns.foreign.artefact import CTE_PER_K, S3, ForeignBar, measure, straight_bar, tilted_bar
+from campaigns.foreign.files import rows_of
 from campaigns.foreign.machine import ForeignMachine, foreign_machine
 from campaigns.foreign.score import family_of
 from twin.artefact.observations import Observations

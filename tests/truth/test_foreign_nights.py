@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from case_study_files import MACHINE_FILE
 from click.testing import CliRunner
-from foreign_files import artefact_text, ball_text, rows_of
 
 from agent.cli.offline_commands.identify import identify
+from campaigns.foreign.files import artefact_text, ball_text, rows_of
 from campaigns.foreign.nights import (
     NIGHTS,
     STATED_UM,

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_files import Folder, Row, rows_of
+from foreign_files import Folder
 
 from campaigns.foreign.artefact import S3, ForeignBar, measure, straight_bar, tilted_bar
+from campaigns.foreign.files import Row, rows_of
 from campaigns.foreign.machine import TOOL, foreign_machine
 
 Bars = dict[str, tuple[ForeignBar, list[Row]]]

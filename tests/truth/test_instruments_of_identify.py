@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_files import Folder, rows_of
+from foreign_files import Folder
 
 from agent.runs.offline.material import read_material
 from agent.runs.offline.request import IdentificationRequest
 from campaigns.foreign.artefact import STATIONS_MM, measure_at, tilted_bar
+from campaigns.foreign.files import rows_of
 from campaigns.foreign.machine import TOOL, ForeignMachine, foreign_machine
 from drivers.errors import ConfigurationError, InputError
 from twin.formats.estimate_file import parse_estimate

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_files import Folder, rows_of
+from foreign_files import Folder
 
 from campaigns.foreign.artefact import S3, ForeignBar, straight_bar, tilted_bar
 from campaigns.foreign.faults import (
@@ -23,6 +23,7 @@ from campaigns.foreign.faults import (
     sag,
     shifted_by_direction,
 )
+from campaigns.foreign.files import rows_of
 from campaigns.foreign.machine import GRID, TOOL, foreign_machine
 from campaigns.foreign.score import family_of, true_error_um
 from twin.formats.estimate_file import parse_estimate

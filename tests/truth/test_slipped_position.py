@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_files import Folder, rows_of
+from foreign_files import Folder
 
 from campaigns.foreign.artefact import S1, S2, S3, ForeignBar, measure, straight_bar, tilted_bar
+from campaigns.foreign.files import rows_of
 from campaigns.foreign.machine import foreign_machine
 from campaigns.foreign.score import family_of
 from twin.artefact.observations import Observations

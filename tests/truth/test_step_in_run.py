@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_files import Folder, rows_of
+from foreign_files import Folder
 
 from campaigns.foreign.artefact import S3, ForeignBar, tilted_bar
 from campaigns.foreign.faults import FaultyRun, Measurement, crash, nothing
+from campaigns.foreign.files import rows_of
 from campaigns.foreign.machine import foreign_machine
 from campaigns.foreign.score import family_of
 from campaigns.foreign.trials import Places

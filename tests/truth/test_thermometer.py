@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from case_study_files import MACHINE_FILE, settings_text
 from click.testing import CliRunner, Result
-from foreign_files import artefact_text, ball_text, rows_of
 
 from agent.cli.offline_commands.identify import identify
 from campaigns.foreign.artefact import S3, ForeignBar, measure, straight_bar, tilted_bar
+from campaigns.foreign.files import artefact_text, ball_text, rows_of
 from campaigns.foreign.machine import GRID, TOOL, ForeignMachine, foreign_machine
 from campaigns.foreign.score import score, true_error_um
 from twin.artefact.observations import Observations

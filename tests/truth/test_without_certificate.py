@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import Result
-from foreign_files import artefact_text, ball_text, machine_text, rows_of
 from volcal_command import volcal
 
 from agent.results.artefact_calibration import calibration_warnings
@@ -26,6 +25,7 @@ from campaigns.foreign.artefact import (
     straight_bar,
     tilted_bar,
 )
+from campaigns.foreign.files import artefact_text, ball_text, machine_text, rows_of
 from campaigns.foreign.machine import TOOL, foreign_machine
 from campaigns.foreign.score import family_of, true_error_um
 from twin.artefact.artefact import Artefact

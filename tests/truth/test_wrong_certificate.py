@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from case_study_files import MACHINE_FILE
 from click.testing import Result
-from foreign_files import artefact_text, ball_text, rows_of
 from volcal_command import volcal
 
 from agent.results.gates.estimate_gates import certificate_gate
 from agent.results.gates.gate import Gate
 from agent.settings.schema import GateSettings
 from campaigns.foreign.artefact import S1, S2, S3, ForeignBar, measure, straight_bar, tilted_bar
+from campaigns.foreign.files import artefact_text, ball_text, rows_of
 from campaigns.foreign.machine import foreign_machine
 from campaigns.foreign.score import Score, family_of, score
 from twin.artefact.artefact import Artefact

@@ -36,6 +36,7 @@ SMALL = {
     ),
     "one step of the run, beside its siblings": ("agent.runs.resume.abandon",),
     "one step of the report, after all that draws": ("agent.reports.page.german",),
+    "a file format, beside the one that it changes": ("twin.formats.moved_estimate",),
 }
 """Modules of under 40 lines with at most one importer, by the reason to stand alone."""
 

@@ -56,6 +56,18 @@ def test_it_reads_limits_status_position_and_temperatures(cnc: ModbusCnc, plc: F
     assert cnc.probe_status().loaded
 
 
+def test_bodies_of_the_machine_have_sensors_by_the_order_of_their_registers(plc: FakePlc, clock: VirtualClock) -> None:
+    """Registers 1059 to 1068 hold the fourth to the eighth temperature; one of them has failed."""
+    plc.registers[1052] = 7
+    for place, value in enumerate((19250, -(2**31), 22750, 23125), start=3):
+        plc.registers[1053 + 2 * place], plc.registers[1054 + 2 * place] = divmod(value % 2**32, 2**16)
+    names = ("artefact", "ambient", "machine", "column", "ram", "bed", "")
+    with opened(plc, clock, temperatures=names) as cnc:
+        found = cnc.temperatures_c()
+    assert {name: found[name] for name in ("column", "bed")} == {"column": 19.25, "bed": 22.75}
+    assert set(found) == {"artefact", "ambient", "machine", "column", "bed"}
+
+
 def test_a_move_ends_in_position_with_few_round_trips(cnc: ModbusCnc, plc: FakePlc, clock: VirtualClock) -> None:
     before = len(plc.requests)
     cnc.move_to(np.array([250.0, 200.0, 300.0]), feed_mm_per_s=None, guarded=False)

@@ -37,6 +37,24 @@ def test_nothing_warms_without_any_key() -> None:
     assert thermal.field(7200.0) is None
 
 
+def test_bodies_follow_the_air_with_lags_of_their_own_and_stick() -> None:
+    settings = ThermalSettings(
+        ambient_rise_k=6.0, body_time_constants_h={"ram": 0.5, "bed": 8.0}, sensor_stuck_after_h={"ram": 2.0}
+    )
+    thermal = ThermalEffects(settings, RANGES)
+    for hours in (1.0, 2.0, 5.0):
+        found = thermal.temperatures_c(3600.0 * hours)
+        assert found["bed"] == pytest.approx(26.0 - 6.0 * np.exp(-hours / 8.0))
+        assert found["ram"] == pytest.approx(26.0 - 6.0 * np.exp(-min(hours, 2.0) / 0.5))
+        assert found["machine"] == 20.0
+
+
+@pytest.mark.parametrize("name", ["machine", "artefact-2", "Ram", ""])
+def test_a_body_has_a_name_of_its_own(name: str) -> None:
+    with pytest.raises(ValueError, match="body_time_constants_h"):
+        ThermalSettings(body_time_constants_h={name: 1.0})
+
+
 def test_scales_stretch_about_zero_and_the_column_tilts_what_it_carries() -> None:
     settings = ThermalSettings(
         machine_k_per_h=2.0, scale_um_per_m_k=(8.0, 9.0, 10.0), bend_um_per_k=5.0, growth_um_per_k=(1.0, 0.0, -2.0)

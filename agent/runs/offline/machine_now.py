@@ -1,0 +1,210 @@
+"""Combined estimate of the machine now: its last estimate, the change of its temperatures since then, and one or two
+positions measured in the last hour."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agent.files import check_folder, read_text, translated, write_all_atomically
+from agent.history.sensor_drift import SensorDrift
+from agent.runs.offline.identification import identify_files
+from agent.runs.offline.request import IdentificationRequest
+from agent.runs.offline.result import IdentificationResult
+from agent.settings.schema import Settings
+from agent.workpiece.estimate_and_table import ESTIMATE_NAME
+from drivers.errors import InputError
+from twin.arrays import Array
+from twin.formats.estimate_file import parse_estimate
+from twin.formats.moved_estimate import moved_estimate
+from twin.identification import CarriedOverPrior, Options
+from twin.machine.volumetric import evaluation_grid
+from twin.monitoring.residual_with_active_table import ResidualWithTable
+from twin.monitoring.thermal_drift import after_change
+from twin.units import S_PER_DAY, UM_PER_MM
+
+PREDICTED_NAME = "predicted.json"
+LONGEST_DAYS = 7.0
+"""Age in days of the last estimate beyond which nothing is predicted from it: measure a night first."""
+
+
+@dataclass(frozen=True)
+class NowRequest:
+    """Combined estimate that is asked for: the temperatures in °C by sensor `at` a UTC time, the folder `out` of its
+    files, and the file of positions measured about then, None without one."""
+
+    temperatures_c: Mapping[str, float]
+    at: datetime
+    out: Path
+    balls: Path | None = None
+
+
+@dataclass(frozen=True)
+class ExpectedErrors:
+    """Expected volumetric errors in µm, rigidly aligned: `ve_um` without a table, and `vce_um` with the table that was
+    made from the last estimate."""
+
+    ve_um: float
+    vce_um: float
+
+
+@dataclass(frozen=True, eq=False)
+class MachineNow:
+    """Combined estimate of the machine.
+
+    `then` holds for the last estimate, of the run `run_id`, `age_days` ago; `predicted` for its prediction by the
+    temperatures; and `measured` for the estimate with the positions of `identification`, which is None without any.
+    `moved_um` is the rms change of the error field that the temperatures explain, and `doubt_um` the rms uncertainty
+    that change and time have added. `largest` are the parameters that are predicted to change most: name, change and
+    standard uncertainty of the change in `unit`.
+    """
+
+    machine: str
+    run_id: str
+    age_days: float
+    sensors: tuple[str, ...]
+    temperature_changes_k: Mapping[str, float]
+    then: ExpectedErrors
+    predicted: ExpectedErrors
+    measured: ExpectedErrors | None
+    moved_um: float
+    doubt_um: float
+    largest: tuple[tuple[str, float, float, str], ...]
+    file: Path
+    identification: IdentificationResult | None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the result as a mapping to be written as JSON (docs/reference/json.md)."""
+        fits = None if self.identification is None else self.identification.material.night
+        return {
+            "machine": self.machine,
+            "run": self.run_id,
+            "age_days": self.age_days,
+            "sensors": list(self.sensors),
+            "temperature_changes_k": dict(self.temperature_changes_k),
+            "then": vars(self.then),
+            "predicted": vars(self.predicted),
+            "measured": None if self.measured is None else vars(self.measured),
+            "positions_fit": None if fits is None else fits.fits,
+            "moved_um": self.moved_um,
+            "doubt_um": self.doubt_um,
+            "errors": [
+                {"name": name, "change": change, "standard_uncertainty": sigma, "unit": unit}
+                for name, change, sigma, unit in self.largest
+            ],
+            "estimate": str(self.file),
+        }
+
+
+def machine_now(drift: SensorDrift, settings: Settings, request: NowRequest) -> MachineNow:
+    """Combine the last estimate with the temperatures and positions of `request`, and write the result into its folder:
+    predicted.json, and with positions estimate.json.
+
+    Raises InputError if a temperature of a sensor that explains the drift is missing, if the last estimate is too old,
+    or if the positions cannot be used.
+    """
+    check_folder(request.out)
+    history, found = drift.history, drift.found
+    last = history.nights[history.reference_place]
+    days = request.at.timestamp() / S_PER_DAY - float(history.started_s[history.reference_place]) / S_PER_DAY
+    if not 0.0 <= days <= LONGEST_DAYS:
+        raise InputError(
+            f"the last estimate is of {days:.1f} days before {request.at:%Y-%m-%d %H:%M}, "
+            f"allowed 0 to {LONGEST_DAYS:g}",
+            hint="state the time with --at, or measure a night",
+            run=history.reference_run,
+        )
+    unknown = sorted(set(request.temperatures_c) - set(history.sensors))
+    if unknown:
+        raise InputError(f"unknown sensor {unknown[0]!r}", hint=f"sensors: {', '.join(history.sensors)}")
+    to_c = np.array([request.temperatures_c.get(name, np.nan) for name in found.sensors])
+    places = [history.sensors.index(name) for name in found.sensors]
+    from_c = found.screened.readings_c[history.reference_place, places]
+    sigmas = np.hypot(last.uncertainties_k[places], settings.temperature.drift_sensor_uncertainty_k)
+    with translated(InputError):
+        change, covariance = found.change(from_c, to_c, days, sigmas)
+    known = history.reference.carried_over()
+    moved = after_change(known, change, covariance)
+    identification = _written(drift, settings, request, moved)
+    after = None
+    if identification is not None:
+        after = _errors(drift, identification.estimation.estimate.carried_over())
+    return MachineNow(
+        history.machine.name,
+        history.reference_run,
+        days,
+        found.taken,
+        {name: float(to_c[at] - from_c[at]) for at, name in enumerate(found.sensors) if np.isfinite(to_c[at])},
+        _errors(drift, known),
+        _errors(drift, moved),
+        after,
+        UM_PER_MM * math.sqrt(max(float(change @ drift.form @ change), 0.0)),
+        UM_PER_MM * math.sqrt(max(float(np.vdot(drift.form, covariance)), 0.0)),
+        _largest(drift, change, covariance),
+        request.out / (PREDICTED_NAME if identification is None else ESTIMATE_NAME),
+        identification,
+    )
+
+
+def _written(
+    drift: SensorDrift, settings: Settings, request: NowRequest, moved: CarriedOverPrior
+) -> IdentificationResult | None:
+    """Write the predicted estimate, and identify the positions with it as prior. Nothing stays if these are wrong."""
+    history = drift.history
+    provenance = {
+        "predicted_for": request.at.isoformat(timespec="seconds"),
+        "predicted_from": history.reference_run,
+        "predicted_by": f"volcal {version('volcal')}",
+    }
+    text = moved_estimate(read_text(history.reference_file), moved, provenance)
+    with translated(file=PREDICTED_NAME):
+        parse_estimate(text, PREDICTED_NAME)
+    file = request.out / PREDICTED_NAME
+    write_all_atomically(request.out, {PREDICTED_NAME: text})
+    if request.balls is None:
+        return None
+    chosen = settings.identification
+    return identify_files(
+        IdentificationRequest(
+            balls=request.balls,
+            machine=settings.machine,
+            artefact=settings.artefact,
+            out=request.out,
+            options=Options(formulation=chosen.formulation, use_prior=True, weights="full"),
+            tool=settings.tool,
+            carried_over=file,
+            gates=settings.gates,
+            min_gain=settings.verification.min_gain,
+            table=settings.table,
+            thermometer_uncertainty_k=settings.temperature.standard_uncertainty_k,
+            with_report=False,
+        ),
+        request.at.isoformat(timespec="seconds"),
+    )
+
+
+def _errors(drift: SensorDrift, known: CarriedOverPrior) -> ExpectedErrors:
+    """Return the expected volumetric errors without a table, and with that of the last estimate."""
+    written = drift.history.reference.parameters
+    grid = evaluation_grid(known.unknowns.model.ranges_mm)
+    residual = ResidualWithTable.build(known.unknowns, known.scales, grid, drift.history.tool_offset_mm)
+    bare, left = (residual.of(known.mean, known.covariance, one) for one in (np.zeros_like(written), written))
+    return ExpectedErrors(bare.aligned_um, left.aligned_um)
+
+
+def _largest(drift: SensorDrift, change: Array, covariance: Array) -> tuple[tuple[str, float, float, str], ...]:
+    weights = np.sqrt(np.diag(drift.form)) * np.hypot(change, np.sqrt(np.diag(covariance)))
+    names: Sequence[str] = drift.history.reference.model.names
+    found = []
+    for place in np.argsort(weights)[::-1][:6].tolist():
+        unit, factor = drift.unit(place)
+        sigma = float(np.sqrt(max(covariance[place, place], 0.0)))
+        found.append((names[place], factor * float(change[place]), factor * sigma, unit))
+    return tuple(found)

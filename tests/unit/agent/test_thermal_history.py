@@ -1,0 +1,158 @@
+"""`volcal history thermal` and `volcal history now` on a season of a machine that shares no code with the program."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from agent.cli.history import history_group
+from campaigns.foreign.score import true_error_um
+from campaigns.sensors.season_files import SeasonFiles, run_id, write_season
+from twin.formats.estimate_file import parse_estimate
+
+NIGHTS, NUMBER, HOURS = 24, 0, 12
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> SeasonFiles:
+    return write_season(tmp_path_factory.mktemp("season"), NUMBER, NIGHTS)
+
+
+@pytest.fixture
+def files(written: SeasonFiles, tmp_path: Path) -> SeasonFiles:
+    """A copy that the test may change."""
+    shutil.copytree(written.folder, tmp_path / "season")
+    return SeasonFiles(tmp_path / "season", written.season)
+
+
+def call(files: SeasonFiles, name: str, *options: object) -> Result:
+    arguments = [name, "--config", str(files.settings), *map(str, options)]
+    return CliRunner().invoke(history_group, arguments, prog_name="volcal history")
+
+
+def called(files: SeasonFiles, name: str, *options: object) -> dict:
+    result = call(files, name, *options, "--json")
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout)
+
+
+def refused(result: Result) -> str:
+    assert result.exit_code == 2, result.output
+    return result.stderr
+
+
+def readings(files: SeasonFiles, hours: int) -> list[object]:
+    return [
+        text for name, value in files.temperatures_c(hours).items() for text in ("--temperature", f"{name}={value}")
+    ]
+
+
+def change_database(files: SeasonFiles, statement: str, *values: str) -> None:
+    [database] = (files.folder / "state").glob("*.sqlite*")
+    with sqlite3.connect(database) as connection:
+        connection.execute(statement, values)
+    connection.close()
+
+
+class TestThermal:
+    def test_the_drift_is_explained_and_drawn(self, files: SeasonFiles) -> None:
+        found = called(files, "thermal", "--figure", files.folder / "thermal.png")
+        taken = [one["name"] for one in found["sensors"] if one["taken"]]
+        assert taken
+        assert found["nights"] == NIGHTS
+        assert found["left_out_nights"]["with_sensors_um"] < found["left_out_nights"]["without_sensors_um"]
+        assert (files.folder / "thermal.png").read_bytes().startswith(b"\x89PNG")
+
+    def test_the_effect_of_the_ram_is_the_true_one(self, files: SeasonFiles) -> None:
+        """The generator lets the scale of Y grow with the ram; a Legendre slope is half the change over the travel."""
+        [(_, over_travel_mm, _, _)] = [one for one in files.season.thermal.effects if one[0] == "EYY"]
+        found = called(files, "thermal", "--sensor", "ram")
+        [effect] = [one["per_k"]["ram"] for one in found["errors"] if one["name"] == "EYY[1]"]
+        assert abs(effect["value"] - 500.0 * over_travel_mm) < 3.0 * effect["standard_uncertainty"]
+        assert abs(effect["value"]) > 5.0 * effect["standard_uncertainty"]
+
+    def test_the_table_names_every_sensor(self, files: SeasonFiles) -> None:
+        text = call(files, "thermal").stdout
+        assert all(name in text for name in ("column", "ram", "bed", "air", "explains"))
+
+    def test_a_sensor_that_sticks_is_left_out_and_named(self, files: SeasonFiles) -> None:
+        change_database(files, "UPDATE volcal_temperatures SET mean = 21.5 WHERE sensor = 'ram'")
+        [ram] = [one for one in called(files, "thermal")["sensors"] if one["name"] == "ram"]
+        assert not ram["taken"]
+        assert "stuck" in ram["reason"]
+
+    def test_temperatures_that_do_not_change_are_refused(self, files: SeasonFiles) -> None:
+        change_database(files, "UPDATE volcal_temperatures SET mean = 20.0 + 0.001 * random() / 9.3e18")
+        assert "constant" in refused(call(files, "thermal"))
+
+    def test_a_sensor_that_nobody_recorded_is_refused(self, files: SeasonFiles) -> None:
+        message = refused(call(files, "thermal", "--sensor", "spindle"))
+        assert "'spindle'" in message
+        assert "recorded sensors: air, artefact, bed, column, ram" in message
+
+    def test_without_any_sensor_it_says_so(self, files: SeasonFiles) -> None:
+        change_database(files, "DELETE FROM volcal_temperatures WHERE sensor <> 'artefact'")
+        assert "no run has recorded a temperature sensor of the machine" in refused(call(files, "thermal"))
+
+    def test_too_few_nights_are_refused(self, files: SeasonFiles) -> None:
+        change_database(files, "DELETE FROM volcal_runs WHERE run_id > ?", run_id(5))
+        change_database(files, "DELETE FROM volcal_parameters WHERE run_id > ?", run_id(5))
+        assert "6 nights" in refused(call(files, "thermal"))
+
+    def test_gaps_leave_nights_out(self, files: SeasonFiles) -> None:
+        change_database(files, "DELETE FROM volcal_temperatures WHERE sensor = 'ram' AND run_id = ?", run_id(4))
+        assert called(files, "thermal")["nights"] == NIGHTS - 1
+
+
+class TestNow:
+    def test_temperatures_and_positions_bring_the_estimate_nearer_to_the_truth(self, files: SeasonFiles) -> None:
+        out, machine = files.folder / "now", files.season.machine_at(HOURS)
+        balls = files.write_balls(HOURS)
+        options = ("--at", files.at(HOURS).isoformat(), "--out", out, "--measured", balls)
+        found = called(files, "now", *options, *readings(files, HOURS))
+        left = [
+            true_error_um(machine, parse_estimate(path.read_text(), path.name))
+            for path in (
+                files.folder / "state" / run_id(NIGHTS - 1) / "estimate.json",
+                out / "predicted.json",
+                out / "estimate.json",
+            )
+        ]
+        assert left[1] < 0.8 * left[0]
+        assert left[2] < 0.8 * left[0]
+        assert found["age_days"] == pytest.approx(HOURS / 24.0)
+        assert found["predicted"]["vce_um"] > found["then"]["vce_um"]
+        assert found["measured"]["vce_um"] > left[2] / 2.0
+        assert found["positions_fit"] is True
+
+    def test_at_once_and_at_the_same_temperatures_nothing_changes(self, files: SeasonFiles) -> None:
+        out = files.folder / "now"
+        called(files, "now", "--at", files.at(0).isoformat(), "--out", out, *readings(files, 0))
+        before = json.loads((files.folder / "state" / run_id(NIGHTS - 1) / "estimate.json").read_text())
+        after = json.loads((out / "predicted.json").read_text())
+        first, second = (np.array([one["value"] for one in each["parameters"]]) for each in (before, after))
+        assert np.abs(second - first).max() < 3e-6  # mm: readings are rounded to 1 mK
+
+    def test_a_missing_temperature_is_named(self, files: SeasonFiles) -> None:
+        message = refused(call(files, "now", "--at", files.at(6).isoformat(), "--out", files.folder / "now"))
+        assert "the temperature of the sensor" in message
+
+    def test_an_old_estimate_predicts_nothing(self, files: SeasonFiles) -> None:
+        options = ("--at", files.at(24 * 9).isoformat(), "--out", files.folder / "now")
+        assert "9.0 days" in refused(call(files, "now", *options, *readings(files, 6)))
+        assert not (files.folder / "now").exists()
+
+    @pytest.mark.parametrize("text", ["column", "column=warm", "=21"])
+    def test_a_temperature_without_a_number_is_refused(self, files: SeasonFiles, text: str) -> None:
+        result = call(files, "now", "--out", files.folder / "now", "--temperature", text)
+        assert result.exit_code == 2
+
+    def test_an_unknown_sensor_is_refused(self, files: SeasonFiles) -> None:
+        options = ("--at", files.at(6).isoformat(), "--out", files.folder / "now", "--temperature", "spindle=30")
+        assert "'spindle'" in refused(call(files, "now", *options))
