@@ -63,9 +63,9 @@ class ArtefactDesign:
 
     `present` is the present equipment, bought anew, with a position set designed for the same slot; `finalists` are the
     variants that were designed completely, and `best` is the best of them, perhaps with other places of its stations.
-    `screened` contains all variants that were screened, in the order of the search. `changes` contains those of them
-    that differ from `best` in one property, and `screened_best` is the result of screening `best`. `exhausted` is True
-    if the search ended before it was complete.
+    `screened` contains all variants that were screened, in this order. `changes` contains those of them that differ
+    from `best` in one property, and `screened_best` is the result of screening `best`. `exhausted` is True if the
+    search ended before it was complete.
     """
 
     present: DesignedVariant
@@ -131,15 +131,16 @@ class ArtefactDesigner:
         best = self._proved(finalists)
         if free_stations:
             best = self._with_free_stations(best)
-        changed = [one for one in self.search.changes(best.variant) if self._screening.known(one)]
+        exhausted = self.search.exhausted
+        changes = tuple(self._screening.result(one) for one in self.search.changes(best.variant))
         return ArtefactDesign(
             present=present,
             finalists=tuple(finalists),
             best=best,
             screened=self._screening.screened,
             screened_best=self._screening.result(best.variant),
-            changes=tuple(self._screening.result(one) for one in changed),
-            exhausted=self.search.exhausted,
+            changes=changes,
+            exhausted=exhausted,
         )
 
     def _designed(self, variant: ArtefactVariant) -> DesignedVariant:

@@ -12,6 +12,7 @@ from agent.planning.design.artefact_design import ArtefactDesign, DesignedVarian
 from agent.planning.design.pareto_front import FrontPoint
 
 FIGURE_SIZE_IN = (10.5, 4.4)
+_NUMBERS = 6  # of positions, written at a front
 _ROOM_ABOVE = 1.3  # of the panel against time, for its legend
 _LARGEST_OVER_FRONT = 3.0  # variants with an error of more than this multiple of the least are above the panel
 
@@ -28,10 +29,10 @@ def _draw_minutes(axes: Axes, found: ArtefactDesign, slot_minutes: float) -> Non
     shown: list[tuple[str, str, DesignedVariant]] = [("best found", BLUE, found.best)]
     if found.present.design is not None and found.present.variant != found.best.variant:
         shown.append(("present artefact and mount", GREEN, found.present))
-    for label, colour, one in shown:
+    for above, (label, colour, one) in enumerate(shown):
         front = [point for point in one.result.front if point.best]
         axes.plot([p.minutes for p in front], [p.vce_um for p in front], "-o", color=colour, label=label)
-        _number(axes, front, colour)
+        _number(axes, front, colour, above=bool(above))
     axes.axvline(slot_minutes, color=INK, linewidth=0.8, linestyle=":", label=f"slot of {slot_minutes:g} min")
     axes.set_xlabel("machine time of the whole run / min")
     axes.set_title("Expected VCE against machine time (numbers: positions)")
@@ -41,11 +42,12 @@ def _draw_minutes(axes: Axes, found: ArtefactDesign, slot_minutes: float) -> Non
     axes.legend(loc="upper right")
 
 
-def _number(axes: Axes, front: Sequence[FrontPoint], colour: str) -> None:
-    for point in front[:: max(1, len(front) // 6)]:
-        axes.annotate(
-            f"{point.positions}", (point.minutes, point.vce_um), (3, 5), textcoords="offset points", color=colour
-        )
+def _number(axes: Axes, front: Sequence[FrontPoint], colour: str, *, above: bool) -> None:
+    """Write the number of positions at some points of a front, on the side where the other front is not."""
+    offset = (3, 5) if above else (-4, -13)
+    for point in front[:: max(1, len(front) // _NUMBERS)]:
+        at = (point.minutes, point.vce_um)
+        axes.annotate(f"{point.positions}", at, offset, textcoords="offset points", color=colour)
 
 
 def _draw_euro(axes: Axes, found: ArtefactDesign, budget_euro: float) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,8 +15,9 @@ from typing import Any
 from agent.figures.heading import subject
 from agent.figures.style import headed, picture
 from agent.files import write_all_atomically
-from agent.planning.design.artefact_design import ArtefactDesign
+from agent.planning.design.artefact_design import ArtefactDesign, DesignedVariant
 from agent.planning.design.artefact_figure import FIGURE_SIZE_IN, draw_artefact_design
+from agent.planning.design.artefact_variants import ArtefactVariant
 from agent.planning.design.design_result import Prove
 from agent.planning.design.pareto_front import format_front
 from agent.planning.job import Job
@@ -26,7 +27,7 @@ from twin.formats.artefact_file import format_artefact
 from twin.formats.position_set_file import format_positions
 
 ARTEFACT, COVARIANCE, POSITIONS, SETTINGS = "artefact.toml", "artefact-covariance.csv", "positions.csv", "settings.toml"
-VARIANTS, FRONT, FIGURE = "variants.csv", "front.csv", "artefact-design"
+VARIANTS, DESIGNS, FRONT, FIGURE = "variants.csv", "designs.csv", "front.csv", "artefact-design"
 COLUMNS = (
     "length_mm",
     "balls",
@@ -42,9 +43,11 @@ COLUMNS = (
     "run_euro",
     "positions",
     "ball_centres",
-    "on_front",
+    "best",
     "refused",
 )
+"""Columns of both tables of variants. In that of the screened ones, the best are those on the Pareto front."""
+
 _NOTE = "Nominal bar of `volcal design artefact`. Replace the centres and their covariance by those of the certificate."
 
 
@@ -62,6 +65,7 @@ def write_artefact_design(found: ArtefactDesign, slot_minutes: float, budget_eur
         POSITIONS: format_positions(best.positions, heading),
         SETTINGS: format_settings(best.problem.job.settings),
         VARIANTS: format_variants(found),
+        DESIGNS: format_designs(found),
         FRONT: format_front(best.front, machine.name, artefact.name),
         f"{FIGURE}.png": drawn.png,
         f"{FIGURE}.svg": drawn.svg,
@@ -87,24 +91,46 @@ def with_artefact_file(prove: Prove) -> Prove:
 def format_variants(found: ArtefactDesign) -> str:
     """Return all screened variants as CSV text, one per line. Cells of a variant that cannot be measured are empty, and
     the last one says why."""
+    front = set(found.euro_front)
+    return _table(
+        (
+            *_properties(one.variant),
+            f"{one.purchase_euro:.2f}",
+            *(f"{value:.4f}" if one.measurable else "" for value in (one.vce_um, one.minutes, one.run_euro)),
+            *((one.positions, one.balls) if one.measurable else ("", "")),
+            "yes" if one in front else "no",
+            one.reason,
+        )
+        for one in found.screened
+    )
+
+
+def format_designs(found: ArtefactDesign) -> str:
+    """Return the present equipment and all variants that were designed completely as CSV text with the same
+    columns."""
+    designs = {one.variant: one for one in (found.present, *found.finalists, found.best)}
+    return _table(_designed(one, best=one.variant == found.best.variant) for one in designs.values())
+
+
+def _designed(one: DesignedVariant, *, best: bool) -> tuple[object, ...]:
+    head = (*_properties(one.variant), f"{one.purchase_euro:.2f}")
+    if one.design is None:
+        return (*head, "", "", "", "", "", "no", one.reason)
+    values = (one.vce_um, one.design.minutes, one.run_euro)
+    numbers = (*(f"{value:.4f}" for value in values), len(one.design.positions), one.design.balls)
+    return (*head, *numbers, "yes" if best else "no", "")
+
+
+def _properties(v: ArtefactVariant) -> tuple[object, ...]:
+    lengths = (f"{v.length_mm:g}", v.balls, v.spacing_text, f"{v.tilt_deg:g}", v.centre)
+    return (*lengths, f"{v.across_mm:g}", f"{v.height_mm:g}", v.stations)
+
+
+def _table(rows: Iterable[tuple[object, ...]]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
-    front = set(found.euro_front)
-    for one in found.screened:
-        v = one.variant
-        values = (one.vce_um, one.minutes, one.run_euro)
-        numbers = [f"{value:.4f}" if one.measurable else "" for value in values]
-        writer.writerow(
-            (
-                *(f"{v.length_mm:g}", v.balls, v.spacing_text, f"{v.tilt_deg:g}", v.centre),
-                *(f"{v.across_mm:g}", f"{v.height_mm:g}", v.stations, f"{one.purchase_euro:.2f}"),
-                *numbers,
-                *((one.positions, one.balls) if one.measurable else ("", "")),
-                "yes" if one in front else "no",
-                one.reason,
-            )
-        )
+    writer.writerows(rows)
     return text.getvalue()
 
 

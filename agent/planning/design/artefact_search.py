@@ -102,9 +102,6 @@ class VariantSearch:
         found = self._affordable()
         if found:
             self._descend(found[0].variant, None)
-            best = self._affordable()[0].variant
-            for changed in self.changes(best):
-                self._screened(changed)
             found = self._affordable()
         if not found:
             self._raise_nothing_measurable()
