@@ -317,20 +317,20 @@ def _purchase(found: ArtefactDesign) -> str:
 def _effects(found: ArtefactDesign) -> Table:
     """Return the table of the changes of one property of the best variant, all screened alike."""
     table = columns_table(
-        ("property", "best", "instead", "VCE / µm", "change / %", "purchase / €"),
+        ("property", "best", "instead", "VCE / µm", "mean change of VCE, of pairs", "purchase / €"),
         title=f"one change of the best, screened (VCE {found.screened_best.vce_um:.2f} µm)",
     )
-    for one in found.changes:
-        name = next(name for name in _WORDS if getattr(one.variant, name) != getattr(found.best.variant, name))
-        before, after = (str(getattr(each, name)) for each in (found.best.variant, one.variant))
-        if one.measurable:
-            change = 100.0 * (one.vce_um / found.screened_best.vce_um - 1.0)
-            table.add_row(
-                _WORDS[name], before, after, f"{one.vce_um:.2f}", f"{change:+.1f}", f"{one.purchase_euro:.0f}"
-            )
-        else:
-            table.add_row(_WORDS[name], before, after, one.reason, "", f"{one.purchase_euro:.0f}")
+    for effect in found.effects:
+        one, mean = effect.changed, effect.mean_percent
+        changed = "" if mean is None else f"{mean:+.1f} % of {len(effect.ratios)}"
+        error = f"{one.vce_um:.2f}" if one.measurable else one.reason
+        before, after = (_value(value) for value in effect.values)
+        table.add_row(_WORDS[effect.name], before, after, error, changed, f"{one.purchase_euro:.0f}")
     return table
+
+
+def _value(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _places(one: DesignedVariant) -> list[list[float]]:
@@ -389,7 +389,10 @@ def _document(
         "screened": len(found.screened),
         "exhausted": found.exhausted,
         "screened_best_vce_um": found.screened_best.vce_um,
-        "changes": [_screened(one) for one in found.changes],
+        "changes": [
+            {**_screened(one.changed), "property": one.name, "mean_percent": one.mean_percent, "pairs": len(one.ratios)}
+            for one in found.effects
+        ],
         "euro_front": [_screened(one) for one in found.euro_front],
         "refused": [_screened(one) for one in found.refused],
         "files": [str(path) for path in files],

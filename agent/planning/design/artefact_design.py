@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from agent.errors import PlanRefused
+from agent.planning.design.artefact_effects import PropertyEffect, property_effects
 from agent.planning.design.artefact_screening import ScreenedVariant, Screening
 from agent.planning.design.artefact_search import VariantSearch, euro_front
 from agent.planning.design.artefact_variants import ArtefactVariant
@@ -80,6 +81,11 @@ class ArtefactDesign:
     def euro_front(self) -> tuple[ScreenedVariant, ...]:
         """Screened variants that no other one beats both in purchase and in error."""
         return euro_front(self.screened)
+
+    @property
+    def effects(self) -> tuple[PropertyEffect, ...]:
+        """Effect of each of `changes` on the expected error, over all screened variants."""
+        return property_effects(self.best.variant, self.changes, self.screened)
 
     @property
     def refused(self) -> tuple[ScreenedVariant, ...]:

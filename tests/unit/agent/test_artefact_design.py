@@ -22,6 +22,7 @@ from agent.planning.case_file import CASE_STUDY, SHIPPED_CONFIGURATION, load_cas
 from agent.planning.cycle_time import set_alone
 from agent.planning.design.artefact_costs import SHIPPED_COSTS, ArtefactCosts, Equipment, load_costs
 from agent.planning.design.artefact_design import ArtefactDesign, ArtefactDesigner
+from agent.planning.design.artefact_effects import property_effects
 from agent.planning.design.artefact_files import COLUMNS, write_artefact_design
 from agent.planning.design.artefact_screening import ScreenedVariant, Screening
 from agent.planning.design.artefact_search import PROPERTIES, VariantChoices, VariantSearch, euro_front
@@ -297,6 +298,26 @@ class TestSearch:
             if not any(e <= euro and u <= um and (e, u) != (euro, um) for e, u in pairs)
         }
         assert front == unbeaten
+
+
+def test_the_effect_of_a_property_is_the_mean_over_all_pairs_that_differ_in_it_alone() -> None:
+    def screened(balls: int, stations: int, vce_um: float) -> ScreenedVariant:
+        variant = replace(present().variant, balls=balls, stations=stations)
+        return ScreenedVariant(variant, 5000.0, vce_um)
+
+    every = [
+        screened(7, 3, 2.0), screened(5, 3, 4.0),
+        screened(7, 2, 3.0), screened(5, 2, 1.5),
+        screened(7, 4, 2.0), screened(5, 4, math.inf),
+        screened(7, 6, 9.0),
+    ]  # fmt: skip
+    few, station = property_effects(every[0].variant, [every[1], every[2]], every)
+    assert (few.name, few.values, few.ratios) == ("balls", (7, 5), (2.0, 0.5))
+    assert few.mean_percent == pytest.approx(0.0)
+    assert (station.name, station.ratios) == ("stations", (1.5, 0.375))
+    assert station.mean_percent == pytest.approx(100.0 * (0.75 - 1.0))
+    [alone] = property_effects(every[0].variant, [every[6]], [])
+    assert alone.mean_percent is None
 
 
 def test_a_slot_that_is_too_short_is_a_reason() -> None:
