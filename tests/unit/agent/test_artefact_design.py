@@ -183,6 +183,12 @@ class TestFrames:
         assert deviation_mm[0, 0] == pytest.approx(math.hypot(1e-3 * stated.standard_uncertainty_um, scale))
         assert deviation_mm[5, 0] == pytest.approx(1e-3 * stated.standard_uncertainty_um)
 
+    def test_stated_places_of_the_balls_replace_the_spacing(self) -> None:
+        stated = (0.0, 140.0, 400.0, 900.0)
+        artefact = present().artefact(replace(present().variant, balls=4, length_mm=900.0, stated_mm=stated))
+        assert artefact.balls[:, 0] == pytest.approx([-450.0, -310.0, -50.0, 450.0])
+        assert "stated" in artefact.name
+
     def test_a_longer_bar_hangs_by_the_fourth_power(self) -> None:
         sagging = replace(shipped_job().artefact, sag_mm=0.016, sag_standard_uncertainty_mm=0.004)
         own = PresentEquipment(replace(shipped_job(), artefact=sagging), CASE_STUDY.parent, costs().calibration)
