@@ -28,6 +28,7 @@ from agent.settings.schema import Settings
 from agent.thermal.rules import drift_limits_of, settling_of
 from drivers.errors import ConfigurationError
 from twin.arrays import Array
+from twin.artefact.artefact import Artefact
 from twin.artefact.position_set import MIN_BALLS, Position, parse_position_set
 from twin.collision.geometry import point
 from twin.collision.locating_balls import depth_in_table_mm, locating_balls
@@ -42,14 +43,15 @@ IN_TABLE_MM = 1.0
 """Depth in mm to which an artefact that is placed by hand may be inside the table according to its file."""
 
 
-def prepare_job(settings: Settings, base: Path) -> Job:
+def prepare_job(settings: Settings, base: Path, artefact: Artefact | None = None) -> Job:
     """Load the files that the settings name, check that they are consistent, and return the job.
 
-    `base` is the folder to which the path of a position file is relative. Held-out positions that the settings do not
-    list are chosen when `Job.held_out` is first read. Raises ConfigurationError if a file cannot be used or if the
-    files and settings are not consistent.
+    `base` is the folder to which the path of a position file is relative. If `artefact` is given, it replaces that of
+    the settings. Held-out positions that the settings do not list are chosen when `Job.held_out` is first read. Raises
+    ConfigurationError if a file cannot be used or if the files and settings are not consistent.
     """
     machine, artefacts, frame = _loaded(settings)
+    artefacts = artefacts if artefact is None else Artefacts(artefact)
     stations = tuple(settings.procedure.stations or range(1, len(settings.stations.places_mm) + 1))
     positions = _positions(
         settings.procedure.position_set, stations, len(settings.stations.places_mm), base, settings.tool, frame

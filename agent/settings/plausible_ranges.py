@@ -72,7 +72,7 @@ SETTINGS_RANGES: Mapping[str, PlausibleRange] = {
     "mount.shaft_mm": PlausibleRange(5.0, 1000.0),
     "mount.shaft_radius_mm": PlausibleRange(1.0, 200.0),
     "mount.pedestal_radius_mm": PlausibleRange(5.0, 500.0),
-    "mount.head_mm": PlausibleRange(1.0, 500.0),
+    "mount.head_mm": PlausibleRange(-1000.0, 500.0),
     "mount.table_z_mm": _COORDINATES,
     "probe.tip_radius_mm": PlausibleRange(0.25, 10.0),
     "probe.stem_radius_mm": PlausibleRange(0.1, 10.0),

@@ -167,14 +167,16 @@ def ball_bar(
     cte_per_k: float = STEEL_CTE_PER_K,
     cte_standard_uncertainty_per_k: float = 0.0,
     sag_mm: float = 0.0,
+    along_mm: Array | None = None,
 ) -> Artefact:
     """Return a bar of equally spaced balls. `length_mm` is the distance between the end balls along the bar. It does
-    not depend on the number of balls.
+    not depend on the number of balls. If the places `along_mm` (balls,) of the balls are given, they replace the equal
+    spacing.
     """
     return Artefact(
         name=name,
         certificate=certificate,
-        balls=bar_balls(balls, length_mm, tilt_rad, holder_length_mm),
+        balls=bar_balls(balls, length_mm, tilt_rad, holder_length_mm, along_mm),
         ball_diameter_mm=ball_diameter_mm,
         reference_temperature_c=reference_temperature_c,
         cte_per_k=cte_per_k,
@@ -185,8 +187,11 @@ def ball_bar(
     )
 
 
-def bar_balls(balls: int, length_mm: float, tilt_rad: float, holder_length_mm: float) -> Array:
-    """Return the ball centres of a bar as an array (balls, 3) in mm, equally spaced along X.
+def bar_balls(
+    balls: int, length_mm: float, tilt_rad: float, holder_length_mm: float, along_mm: Array | None = None
+) -> Array:
+    """Return the ball centres of a bar as an array (balls, 3) in mm, equally spaced along X or, if they are given, at
+    the places `along_mm` (balls,) in mm along X.
 
     If the holders (posts) of the balls are not tilted, each ball is one holder length from the bar axis, in the
     direction -Y. If the holders are tilted by an angle θ, each ball is displaced from this location by the holder
@@ -196,7 +201,7 @@ def bar_balls(balls: int, length_mm: float, tilt_rad: float, holder_length_mm: f
     if balls < 2:
         raise DataError(f"a ball bar needs at least two balls, got {balls}")
     centres = np.zeros((balls, 3))
-    centres[:, 0] = np.linspace(-0.5 * length_mm, 0.5 * length_mm, balls)
+    centres[:, 0] = np.linspace(-0.5 * length_mm, 0.5 * length_mm, balls) if along_mm is None else along_mm
     centres[:, 1] = -holder_length_mm
     offset = holder_length_mm * math.sin(tilt_rad)
     centres[0::4, 2] += offset

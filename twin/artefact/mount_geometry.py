@@ -41,8 +41,10 @@ class MountGeometry:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if name not in ("table_z_mm", "shaft_direction", "hanging") and not value >= 0.0:
+            if name not in ("table_z_mm", "head_mm", "shaft_direction", "hanging") and not value >= 0.0:
                 raise DataError(f"{name} must be at least 0, got {value}", key=f"mount.{name}")
+        if not math.isfinite(self.head_mm):
+            raise DataError(f"head_mm must be a number, got {self.head_mm}", key="mount.head_mm")
         if not 0.0 < math.hypot(*self.shaft_direction) < math.inf:
             raise DataError("shaft_direction must not be zero", key="mount.shaft_direction")
 

@@ -1,4 +1,5 @@
-"""Command `volcal design`, which chooses the positions of the artefact to be measured. It contacts no device."""
+"""Command `volcal design`, which chooses the positions of the artefact to be measured. No device is contacted. Its
+command `artefact` chooses artefact and mount too."""
 
 from __future__ import annotations
 
@@ -11,9 +12,10 @@ from typing import Any
 
 import click
 
-from agent.cli.errors import reported
+from agent.cli.errors import VolcalGroup, reported
 from agent.cli.invocation import will_run
-from agent.cli.options import PATH, case_options, instruments_option
+from agent.cli.offline_commands.design_artefact import design_artefact_command
+from agent.cli.options import PATH, instruments_option, no_settings_file, optional_case_options
 
 if will_run():
     from rich.console import Console
@@ -70,8 +72,8 @@ def _minutes(_: click.Context, __: click.Parameter, text: str | None) -> float |
     return float(match.group(1)) * _MIN_PER[match.group(2)]
 
 
-@click.command("design")
-@case_options
+@click.group("design", cls=VolcalGroup, invoke_without_command=True)
+@optional_case_options
 @click.option("--machine", type=PATH, metavar="FILE", help="Machine file instead of the one in the settings.")
 @click.option("--artefact", type=PATH, metavar="FILE", help="Artefact file instead of the one in the settings.")
 @click.option("--stations", type=click.IntRange(min=1), metavar="N", help="N stations, evenly spaced along their axis.")
@@ -102,10 +104,12 @@ def _minutes(_: click.Context, __: click.Parameter, text: str | None) -> float |
 @click.option("--verify-set", is_flag=True, help="Also choose held-out positions for the verification.")
 @click.option("--out", type=PATH, default=Path("design.csv"), show_default=True, metavar="FILE.csv")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end.")
+@click.pass_context
 @reported
 def design_command(
+    ctx: click.Context,
     *,
-    config: Path,
+    config: Path | None,
     machine: Path | None,
     artefact: Path | None,
     stations: int | None,
@@ -125,6 +129,10 @@ def design_command(
     as_json: bool,
 ) -> None:
     """Choose the positions that leave the smallest volumetric compensated error and write them as a position set."""
+    if ctx.invoked_subcommand is not None:
+        return
+    if config is None:
+        raise no_settings_file()
     started = wall_seconds()
     goal = _goal(slot, positions, target_vce)
     check_target(out)
@@ -173,6 +181,9 @@ def design_command(
         click.echo(json.dumps(_document(choices, best, places, rivals, files, seconds), allow_nan=False))
     else:
         _show(choices, best, places, rivals, files, seconds)
+
+
+design_command.add_command(design_artefact_command)
 
 
 def _goal(slot: float | None, positions: int | None, target_vce: float | None) -> Goal:

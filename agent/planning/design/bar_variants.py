@@ -1,7 +1,7 @@
 """Variants of the ball bar that a job uses as artefact.
 
-A variant has a different number of balls or a different tilt of the ball holders. All other properties are those of the
-bar's calibration certificate.
+A variant has a different number of balls, tilt of the ball holders, length or spacing of the balls. All other
+properties are those of the bar's calibration certificate.
 """
 
 from __future__ import annotations
@@ -58,19 +58,25 @@ class Bar:
         """
         return float(np.sqrt(np.diagonal(self.certified.covariance).mean()))
 
-    def with_(self, balls: int | None = None, tilt_deg: float | None = None) -> Artefact:
+    def with_(self, balls: int | None = None, tilt_deg: float | None = None, along_mm: Array | None = None) -> Artefact:
         """Return an uncalibrated bar with nominal ball centres. It has the length of this bar, `balls` balls, and
         holders tilted by `tilt_deg`.
 
-        If an argument is None, the value of the certified bar is used.
+        If an argument is None, the value of the certified bar is used. If the places `along_mm` (N,) in mm of the balls
+        along the bar are given, they determine its length and its number of balls; its sag and the uncertainty of the
+        sag are then those of this beam with another length, in proportion to the fourth power of the length.
         """
+        if along_mm is not None:
+            balls = len(along_mm)
         count = self.certified.count if balls is None else balls
         tilt = self.tilt_deg if tilt_deg is None else tilt_deg
         artefact = self.certified
+        length_mm = self.length_mm if along_mm is None else float(np.ptp(along_mm))
+        stretched = (length_mm / self.length_mm) ** 4
         bar = ball_bar(
             f"{artefact.name}, {count} balls at {tilt:g}°",
             balls=count,
-            length_mm=self.length_mm,
+            length_mm=length_mm,
             tilt_rad=math.radians(tilt),
             holder_length_mm=artefact.holder_length_mm,
             ball_diameter_mm=artefact.ball_diameter_mm,
@@ -78,11 +84,14 @@ class Bar:
             reference_temperature_c=artefact.reference_temperature_c,
             cte_per_k=artefact.cte_per_k,
             cte_standard_uncertainty_per_k=artefact.cte_standard_uncertainty_per_k,
-            sag_mm=artefact.sag_mm,
+            sag_mm=stretched * artefact.sag_mm,
+            along_mm=along_mm,
         )
-        balls_mm = bar.balls @ self.turn.T
         return replace(
-            bar, balls=balls_mm, body=artefact.body, sag_standard_uncertainty_mm=artefact.sag_standard_uncertainty_mm
+            bar,
+            balls=bar.balls @ self.turn.T,
+            body=artefact.body,
+            sag_standard_uncertainty_mm=stretched * artefact.sag_standard_uncertainty_mm,
         )
 
 

@@ -103,7 +103,7 @@ def find_design(
     no selected position.
     """
     found = _unproved(problem, goal, verify=verify, say=say, start=start)
-    return found if prove is None else _proved(found, goal, verify=verify, prove=prove, say=say)
+    return found if prove is None else proved_design(found, goal, verify=verify, prove=prove, say=say)
 
 
 def _unproved(
@@ -128,7 +128,7 @@ def _unproved(
     )
 
 
-def _proved(found: DesignResult, goal: Goal, *, verify: bool, prove: Prove, say: Say) -> DesignResult:
+def proved_design(found: DesignResult, goal: Goal, *, verify: bool, prove: Prove, say: Say) -> DesignResult:
     """Return the design `found` if it passes its preflight, or one found without the positions that are refused."""
     for _ in range(_MAX_ATTEMPTS):
         say("preflight")
@@ -312,7 +312,7 @@ def _proved_if_better(
 ) -> VariantDesign:
     """Return the proved design of `moved`, or `choice` if its preflight leaves none that is better than `choice`."""
     try:
-        proved = _proved(moved.result, goal, verify=verify, prove=prove, say=say)
+        proved = proved_design(moved.result, goal, verify=verify, prove=prove, say=say)
     except (UserError, PlanRefused):
         return choice
     return replace(moved, design=proved) if _rank(proved, goal) < _rank(choice.result, goal) else choice
@@ -383,7 +383,7 @@ def compare_variants(
         found = choices[best].result
         if choices[best].variant.made_up or found.preflight_passed:
             break
-        proof = partial(_proved, found, goal, verify=verify, prove=prove, say=say)
+        proof = partial(proved_design, found, goal, verify=verify, prove=prove, say=say)
         choices[best] = designed(choices[best].variant, proof)
     choices[best] = replace(choices[best], best=True)
     return choices

@@ -43,10 +43,10 @@ _BALL = re.compile(r"/ball-(\d+)")
 _Key = tuple[float, float, float, Point, bytes, int]
 
 
-def timed_among(count: int) -> Indices:
-    """Return the indices of those of `count` positions whose minutes are computed, while those of the others follow
-    from them."""
-    return np.unique(np.linspace(0, count - 1, min(_TIMED, count)).round().astype(np.intp))
+def timed_among(count: int, timed: int | None = None) -> Indices:
+    """Return the indices of those of `count` positions whose minutes are computed, at most `timed` or `_TIMED`, while
+    those of the others follow from them."""
+    return np.unique(np.linspace(0, count - 1, min(timed or _TIMED, count)).round().astype(np.intp))
 
 
 def line_over_balls(balls: Indices, timed: Indices, minutes: Array) -> Array:
@@ -62,10 +62,12 @@ class FeasibilityCheck:
 
     Results are cached. For the same orientation, a result at one station is used at another station too, if the
     stations have the same artefact, the same Y and Z, the same distance to their park locations, and the same balls
-    within reach.
+    within reach. `timed` is the number of positions from whose minutes those of the others are estimated;
+    if it is None, it is `_TIMED`.
     """
 
     job: Job
+    timed: int | None = None
     _minutes: dict[_Key, float] = field(default_factory=dict, init=False, repr=False)
     _hits: dict[_Key, str] = field(default_factory=dict, init=False, repr=False)
 
@@ -81,12 +83,12 @@ class FeasibilityCheck:
     def estimated_minutes(self, positions: Sequence[Position], balls: Indices) -> Array:
         """Return the approximate machine minutes (N,) for measuring each of N positions.
 
-        The minutes of `_TIMED` of the positions are computed. Without the turn of the mount, they are nearly a straight
+        The minutes of `timed` of the positions are computed. Without the turn of the mount, they are nearly a straight
         line over the number of balls; this line gives the minutes of all other positions. `balls` (N,) contains the
         number of measured balls of each position.
         """
         turns = np.array([self.turn_minutes(position) for position in positions])
-        timed = timed_among(len(positions))
+        timed = timed_among(len(positions), self.timed)
         exact = np.array([self.minutes(positions[index]) for index in timed])
         own = exact - turns[timed]
         minutes = np.maximum(line_over_balls(balls, timed, own), own.min()) + turns

@@ -51,11 +51,11 @@ def loaded_by(statement: str) -> list[str]:
 
 
 def leaves(command: click.Command) -> Iterator[click.Command]:
-    """Yield `command`, or the commands of a group."""
+    """Yield `command`, or the commands of a group, and the group itself if it does something without a command."""
     if isinstance(command, click.Group):
         for inner in command.commands.values():
             yield from leaves(inner)
-    else:
+    if not isinstance(command, click.Group) or command.invoke_without_command:
         yield command
 
 

@@ -84,7 +84,7 @@ def commands() -> Iterator[tuple[str, click.Command]]:
         assert command is not None
         if isinstance(command, click.Group):
             yield from ((f"{name} {inner}", kept) for inner, kept in command.commands.items())
-        else:
+        if not isinstance(command, click.Group) or command.invoke_without_command:
             yield name, command
 
 

@@ -9,6 +9,7 @@ import pytest
 from volcal_command import volcal
 
 from agent.model_files import load_artefact, load_machine
+from agent.planning.design.artefact_costs import load_costs
 from agent.planning.job_preparation import prepare_job
 from agent.settings.load import load_settings
 from agent.settings.schema import parse_settings
@@ -21,6 +22,7 @@ CONFIG = Path(__file__).resolve().parents[3] / "config"
 READERS = {
     "machines": load_machine,
     "artefacts": load_artefact,
+    "costs": load_costs,
     "simulators": read_scenario,
     "structures": lambda path: parse_structure(path.read_text(encoding="utf-8"), str(path)),
     "config": lambda path: prepare_job(load_settings(path), path.parent),

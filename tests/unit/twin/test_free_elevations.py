@@ -74,3 +74,18 @@ def test_a_hanging_mount_is_the_mirror_image_of_a_standing_one() -> None:
         above, under = free_elevations(bar, standing, height_mm), free_elevations(below, hanging, height_mm)
         assert (under.lower_deg, under.upper_deg) == (-above.upper_deg, -above.lower_deg)
         assert under.obstacle == above.obstacle == "table"
+
+
+def test_a_fork_under_the_middle_of_a_bar_limits_the_elevation() -> None:
+    """The bar turns about its own middle. Its axis comes as near to the end of the pedestal's axis as the distance
+    times the cosine of the elevation."""
+    bar = ball_bar(
+        "bar", balls=3, length_mm=800.0, tilt_rad=0.0, holder_length_mm=60.0, ball_diameter_mm=20.0,
+    )  # fmt: skip
+    bar = replace(bar, body=ArtefactBody(beam=Beam(radius_mm=12.0, overhang_mm=12.0)))
+    fork = MountGeometry(shaft_mm=0.0, pedestal_radius_mm=40.0, head_mm=-150.0, table_z_mm=-500.0)
+    steepest_deg = math.degrees(math.acos((40.0 + 12.0 + CLEARANCE_MM) / 150.0))
+    found = free_elevations(bar, fork, 1000.0)
+    assert found.obstacle == "pedestal"
+    assert found.upper_deg == pytest.approx(steepest_deg, abs=1.0)
+    assert found.lower_deg == pytest.approx(-steepest_deg, abs=1.0)
