@@ -155,6 +155,12 @@ def altered_but_better(night: NightRecord) -> bool:
     return night.accepted and night.after_um < night.before_um and LEFT_TO_A_PERSON in night.morning_says
 
 
+def _settled_later(night: NightRecord) -> bool:
+    """Return True if the run has said that it could not restore the former table, and was resumed: the resumption is
+    judged by what acts after it."""
+    return night.told_unrestored and night.later is not None
+
+
 def _collided(night: NightRecord) -> str:
     struck = Counter(text.partition(" at ")[0] for text in night.struck)
     again = (f"{bodies} again" for bodies, count in struck.items() if count > 1)
@@ -175,7 +181,9 @@ def _incomplete_table(night: NightRecord) -> str:
     if not night.complete_table:
         return "the active bank is empty"
     strange = night.active not in (night.former, *night.written)
-    if strange and not any(excused(night) for excused in (left_to_a_person, cannot_be_seen, altered_but_better)):
+    if strange and not any(
+        excused(night) for excused in (left_to_a_person, cannot_be_seen, altered_but_better, _settled_later)
+    ):
         return f"table {night.active:08x} is neither the former one nor one that was written"
     return "" if night.former_intact else "the bank of the former table was changed"
 

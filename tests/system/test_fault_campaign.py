@@ -129,6 +129,13 @@ def test_a_strange_table_is_left_to_a_person_only_if_evening_and_morning_say_so(
     assert violations(replace(told, told_unrestored=False)).keys() > {"compensation restored"}
 
 
+def test_a_strange_table_may_act_until_the_resumption_if_the_run_has_said_so() -> None:
+    strange = replace(RESTORED, active=OTHER, morning=None, told_unrestored=True, later=RESTORED)
+    assert violations(strange) == {}
+    assert "active table complete" in violations(replace(strange, told_unrestored=False))
+    assert "active table complete" in violations(replace(strange, later=replace(RESTORED, active=OTHER)))
+
+
 def test_what_nothing_could_show_is_counted_with_its_reason_and_must_be_said_in_the_morning() -> None:
     why = "nothing is measured after its activation"
     unseen = replace(
