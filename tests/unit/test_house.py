@@ -35,6 +35,7 @@ SMALL = {
         "volcal.notebook_figure",
     ),
     "one step of the run, beside its siblings": ("agent.runs.resume.abandon",),
+    "a rule for moves, apart from the resumption that follows it": ("agent.runs.resume.slow_moves",),
     "one step of the report, after all that draws": ("agent.reports.page.german",),
     "a file format, beside the one that it changes": ("twin.formats.moved_estimate",),
 }
