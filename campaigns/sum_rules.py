@@ -165,7 +165,14 @@ FORMS: Sequence[CampaignForm] = (
             **dict.fromkeys(("nights", "reached", "with_a_second_fault", "resumed", "resumed_twice"), added),
             **dict.fromkeys(("resumption_refused", "accepted", "left_to_the_morning", "left_to_a_person"), added),
             **dict.fromkeys(
-                ("misled_by_a_thermometer", "altered_but_better", "struck_a_displaced_ball", "machines_refused"), added
+                (
+                    "misled_by_a_thermometer",
+                    "altered_but_better",
+                    "not_shown",
+                    "struck_a_displaced_ball",
+                    "machines_refused",
+                ),
+                added,
             ),
             **dict.fromkeys(("by_group", "by_kind", "ended", "resumed_to", "cannot_be_seen", "violations"), COUNTS),
             **FIRST,

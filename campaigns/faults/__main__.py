@@ -40,6 +40,7 @@ from campaigns.faults.night_record import (
     altered_but_better,
     cannot_be_seen,
     is_misled,
+    is_not_shown,
     left_to_a_person,
     violations,
 )
@@ -57,6 +58,9 @@ from campaigns.faults.planned_night import KNOWN_DURATION_S, KNOWN_NIGHTS, Plann
 
 REACHED_SHARE = 0.85
 """Smallest share of the nights that must reach their fault: a trial whose runs end before it shows nothing."""
+NOT_SHOWN_SHARE = 0.1
+"""Largest share of the resumed nights whose undisturbed proof may show no effect, beside a single one: twice the
+probability with which a proof of a table that works fails."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -140,15 +144,20 @@ def summarise(records: Sequence[NightRecord]) -> dict[str, Any]:
     violations of each invariant."""
     violated = Counter(name for night in records for name in violations(night))
     reached = sum(night.reached for night in records)
+    resumed = sum(night.later is not None for night in records)
+    not_shown = sum(is_not_shown(night.last) for night in records)
     return {
-        "passed": bool(records) and not violated and reached >= REACHED_SHARE * len(records),
+        "passed": bool(records)
+        and not violated
+        and reached >= REACHED_SHARE * len(records)
+        and not_shown <= 1 + NOT_SHOWN_SHARE * resumed,
         "nights": len(records),
         "by_group": dict(sorted(Counter(night.group for night in records).items())),
         "by_kind": dict(sorted(Counter(night.kind for night in records).items())),
         "ended": dict(sorted(Counter(night.state for night in records).items())),
         "reached": reached,
         "with_a_second_fault": sum(night.last.second_begun for night in records),
-        "resumed": sum(night.later is not None for night in records),
+        "resumed": resumed,
         "resumed_twice": sum(night.last.resumed > 1 for night in records),
         "resumed_to": dict(sorted(Counter(night.last.state for night in records if night.later is not None).items())),
         "resumption_refused": sum(bool(night.last.resume_refused) for night in records),
@@ -157,6 +166,7 @@ def summarise(records: Sequence[NightRecord]) -> dict[str, Any]:
         "left_to_a_person": sum(left_to_a_person(night.last) for night in records),
         "cannot_be_seen": dict(Counter(night.last.unseen for night in records if cannot_be_seen(night.last))),
         "misled_by_a_thermometer": sum(is_misled(night.last) for night in records),
+        "not_shown": not_shown,
         "altered_but_better": sum(altered_but_better(night.last) for night in records),
         "struck_a_displaced_ball": sum(bool(night.last.struck) for night in records),
         "violations": {name: violated[name] for name in INVARIANTS},

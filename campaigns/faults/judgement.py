@@ -26,7 +26,7 @@ from campaigns.faults.fault_injector import RETURN_PREFIX, FaultInjector
 from campaigns.faults.fault_kinds import KINDS, WIRE
 from campaigns.faults.fault_scene import FaultScene
 from campaigns.faults.faulty_device import DEVICE, HangDetectedError
-from campaigns.faults.night_record import NightRecord
+from campaigns.faults.night_record import NOT_SHOWN, NightRecord
 from campaigns.faults.planned_night import PlannedNight
 from drivers.clock import VirtualClock
 from drivers.errors import VolcalError
@@ -45,10 +45,6 @@ STATED_K = 0.3
 """Error in K that the stated uncertainty of the thermometer, 0.1 K, covers."""
 UNRESTORED = ("could not be made active again", BANK_DOUBTED)
 """Words of which the reason of a run that has not restored the former table must contain one."""
-
-
-NOT_SHOWN = "do not show the effect of the table"
-"""Words of the reason of a run whose proof could not tell the new table from none."""
 
 
 class Start(Enum):

@@ -186,6 +186,10 @@ def test_a_resumed_run_that_confirms_the_active_table_has_ended_well() -> None:
     ended = replace(RESTORED, must_end_well=True, state="complete", journal_state="complete")
     assert violations(replace(ended, reason="confirmed: kept, no gain that can be shown")) == {}
     assert set(violations(replace(ended, reason="restored: no effect"))) == {"resumed to the end"}
+    not_shown = replace(ended, reason="restored: held-out positions do not show the effect of the table, 5 to 4 µm")
+    assert violations(not_shown) == {}
+    counted = [summarise([*[replace(RESTORED, later=not_shown)] * often, RESTORED]) for often in (1, 2)]
+    assert [(one["not_shown"], one["passed"]) for one in counted] == [(1, True), (2, False)]
 
 
 def test_a_second_fault_is_counted_only_if_it_has_begun() -> None:
