@@ -22,7 +22,6 @@ if will_run():
     from agent.cli.printing import columns_table, results_console
     from agent.files import write_all_atomically
     from drivers.clock import utc_timestamp
-    from twin.monitoring.sensor_screening import HIGHEST_C, LOWEST_C
 
 if TYPE_CHECKING:
     from agent.history.sensor_drift import SensorDrift
@@ -41,6 +40,8 @@ _json = click.option("--json", "as_json_object", is_flag=True, help="Print one J
 def _readings(_context: click.Context, _option: click.Parameter, texts: tuple[str, ...]) -> dict[str, float]:
     """Return temperatures in °C by sensor from texts such as `column=21.4`. Refuses values that no sensor of a machine
     reads, such as kelvins, and two values of one sensor."""
+    from twin.monitoring.sensor_screening import HIGHEST_C, LOWEST_C  # noqa: PLC0415  imports numpy
+
     found: dict[str, float] = {}
     for text in texts:
         name, _, value = text.partition("=")
