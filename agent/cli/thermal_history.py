@@ -38,14 +38,22 @@ _json = click.option("--json", "as_json_object", is_flag=True, help="Print one J
 
 
 def _readings(_context: click.Context, _option: click.Parameter, texts: tuple[str, ...]) -> dict[str, float]:
-    """Return temperatures in °C by sensor from texts such as `column=21.4`."""
+    """Return temperatures in °C by sensor from texts such as `column=21.4`. Refuses values that no sensor of a machine
+    reads, such as kelvins, and two values of one sensor."""
+    from twin.monitoring.sensor_screening import HIGHEST_C, LOWEST_C  # noqa: PLC0415  imports numpy
+
     found: dict[str, float] = {}
     for text in texts:
         name, _, value = text.partition("=")
         try:
-            found[name] = float(value)
+            degrees = float(value)
         except ValueError:
             raise click.BadParameter(f"'{text}' is not NAME=DEGREES, such as column=21.4") from None
+        if not LOWEST_C <= degrees <= HIGHEST_C:  # nan neither
+            raise click.BadParameter(f"'{text}' is not between {LOWEST_C:g} and {HIGHEST_C:g} °C")
+        if name in found:
+            raise click.BadParameter(f"the temperature of the sensor {name!r} is stated twice")
+        found[name] = degrees
     return found
 
 
@@ -55,9 +63,9 @@ def _moment(_context: click.Context, _option: click.Parameter, text: str | None)
         return None
     try:
         given = datetime.fromisoformat(text)
-    except ValueError:
+        return given.replace(tzinfo=UTC) if given.tzinfo is None else given.astimezone(UTC)
+    except (ValueError, OverflowError):  # the first hours of the year 1 in a zone east of Greenwich
         raise click.BadParameter(f"'{text}' is not a time such as 2026-03-14T15:00+01:00") from None
-    return given.replace(tzinfo=UTC) if given.tzinfo is None else given.astimezone(UTC)
 
 
 @click.command("thermal")
@@ -96,7 +104,12 @@ def thermal_command(config: Path, sensors: tuple[str, ...], figure: Path | None,
     callback=_readings,
     help="Temperature of a sensor now; needed of each sensor that explains the drift.",
 )
-@click.option("--at", metavar="TIME", callback=_moment, help="Time of the temperatures (ISO 8601) [default: now].")
+@click.option(
+    "--at",
+    metavar="TIME",
+    callback=_moment,
+    help="Time of the temperatures (ISO 8601, UTC unless a zone is stated) [default: now].",
+)
 @click.option("--measured", "balls", type=PATH, metavar="BALLS.csv", help="One or two positions measured about then.")
 @click.option("--out", type=PATH, required=True, metavar="DIR", help="Folder of the results; created if missing.")
 @_json

@@ -25,7 +25,8 @@ LEAST_SHARE = 0.8
 """Share of the nights in which a sensor must have a usable reading."""
 LEAST_RANGE_SIGMAS = 4.0
 """Smallest range of the readings, in standard uncertainties of a reading, of a sensor that varies."""
-_LOWEST_C, _HIGHEST_C = -30.0, 90.0
+LOWEST_C, HIGHEST_C = -30.0, 90.0
+"""Range in °C of the readings of a sensor of a machine; others are no readings."""
 _UNCHANGED_K = 1e-9
 
 
@@ -68,7 +69,7 @@ def screen_sensors(names: Sequence[str], readings_c: ArrayLike, uncertainties_k:
     sigmas = np.asarray(uncertainties_k, dtype=np.float64)
     if readings.ndim != 2 or readings.shape[1] != len(names) or sigmas.shape != readings.shape:
         raise DataError(f"readings and uncertainties must have one column for each of {len(names)} sensors")
-    readings[~np.isfinite(readings) | (readings < _LOWEST_C) | (readings > _HIGHEST_C)] = np.nan
+    readings[~np.isfinite(readings) | (readings < LOWEST_C) | (readings > HIGHEST_C)] = np.nan
     notes = ["" for _ in names]
     given = readings.copy()
     for place in range(len(names)):

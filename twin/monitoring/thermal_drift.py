@@ -113,7 +113,10 @@ class ThermalDrift:
         difference = np.asarray(to_c, dtype=np.float64) - np.asarray(from_c, dtype=np.float64)
         for place, name in enumerate(self.sensors):
             if place in self.fit.taken and not np.isfinite(difference[place]):
-                raise DataError(f"the temperature of the sensor {name}, which explains the drift, is not known")
+                raise DataError(
+                    f"the temperature of the sensor {name}, which explains the drift, is not known",
+                    hint="state the temperature of each sensor that explains the drift",
+                )
         known = np.isfinite(difference)
         sigmas = np.broadcast_to(np.asarray(sigmas_k, dtype=np.float64), difference.shape)
         mean, variance = self.fit.change(np.where(known, difference, 0.0), np.where(known, sigmas, 0.0), days)

@@ -9,15 +9,19 @@ from dataclasses import dataclass
 from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from agent.files import check_folder, read_text, translated, write_all_atomically
 from agent.history.sensor_drift import SensorDrift
+from agent.results.artefact_calibration import CALIBRATION_FILES
 from agent.runs.offline.identification import identify_files
 from agent.runs.offline.request import IdentificationRequest
 from agent.runs.offline.result import IdentificationResult
+from agent.runs.offline.result_texts import TABLE_FILES
+from agent.runs.result_files import REPORT, replaced_results
 from agent.settings.schema import Settings
 from agent.workpiece.estimate_and_table import ESTIMATE_NAME
 from drivers.errors import InputError
@@ -107,11 +111,16 @@ def machine_now(drift: SensorDrift, settings: Settings, request: NowRequest) -> 
     """Combine the last estimate with the temperatures and positions of `request`, and write the result into its folder:
     predicted.json, and with positions estimate.json.
 
-    Raises InputError if a temperature of a sensor that explains the drift is missing, if the last estimate is too old,
-    or if the positions cannot be used.
+    Raises InputError if a temperature of a sensor that explains the drift is missing now or in the run of the last
+    estimate, if that estimate is too old, if the folder is that of a run, or if the positions cannot be used; nothing
+    is written then.
     """
     check_folder(request.out)
     history, found = drift.history, drift.found
+    if request.out.resolve().parent == settings.state_directory.resolve():
+        raise InputError(
+            "results would replace the estimate of a run", hint="choose another directory", directory=str(request.out)
+        )
     last = history.nights[history.reference_place]
     days = request.at.timestamp() / S_PER_DAY - float(history.started_s[history.reference_place]) / S_PER_DAY
     if not 0.0 <= days <= LONGEST_DAYS:
@@ -127,6 +136,13 @@ def machine_now(drift: SensorDrift, settings: Settings, request: NowRequest) -> 
     to_c = np.array([request.temperatures_c.get(name, np.nan) for name in found.sensors])
     places = [history.sensors.index(name) for name in found.sensors]
     from_c = found.screened.readings_c[history.reference_place, places]
+    for name, reading_c in zip(found.sensors, from_c.tolist(), strict=True):
+        if name in found.taken and not math.isfinite(reading_c):
+            raise InputError(
+                f"the run of the last estimate has no usable reading of the sensor {name}, which explains the drift",
+                hint="measure a night with this sensor, or choose other sensors with --sensor",
+                run=history.reference_run,
+            )
     sigmas = np.hypot(last.uncertainties_k[places], settings.temperature.drift_sensor_uncertainty_k)
     with translated(InputError):
         change, covariance = found.change(from_c, to_c, days, sigmas)
@@ -156,7 +172,8 @@ def machine_now(drift: SensorDrift, settings: Settings, request: NowRequest) -> 
 def _written(
     drift: SensorDrift, settings: Settings, request: NowRequest, moved: CarriedOverPrior
 ) -> IdentificationResult | None:
-    """Write the predicted estimate, and identify the positions with it as prior. Nothing stays if these are wrong."""
+    """Write the predicted estimate, and identify the positions with it as prior. Nothing is written if these are wrong.
+    Results of an earlier identification in the folder do not belong to the new prediction and are deleted."""
     history = drift.history
     provenance = {
         "predicted_for": request.at.isoformat(timespec="seconds"),
@@ -166,20 +183,30 @@ def _written(
     text = moved_estimate(read_text(history.reference_file), moved, provenance)
     with translated(file=PREDICTED_NAME):
         parse_estimate(text, PREDICTED_NAME)
-    file = request.out / PREDICTED_NAME
-    write_all_atomically(request.out, {PREDICTED_NAME: text})
     if request.balls is None:
+        former = replaced_results(request.out, (ESTIMATE_NAME, *TABLE_FILES, REPORT, *CALIBRATION_FILES), ())
+        write_all_atomically(request.out, {PREDICTED_NAME: text}, former)
         return None
+    with TemporaryDirectory() as folder:
+        prior = Path(folder) / PREDICTED_NAME
+        write_all_atomically(prior.parent, {prior.name: text})
+        result = _identified(settings, request, request.balls, prior)
+    write_all_atomically(request.out, {PREDICTED_NAME: text})
+    return result
+
+
+def _identified(settings: Settings, request: NowRequest, balls: Path, prior: Path) -> IdentificationResult:
+    """Identify the positions with the estimate in the file `prior` as prior."""
     chosen = settings.identification
     return identify_files(
         IdentificationRequest(
-            balls=request.balls,
+            balls=balls,
             machine=settings.machine,
             artefact=settings.artefact,
             out=request.out,
             options=Options(formulation=chosen.formulation, use_prior=True, weights="full"),
             tool=settings.tool,
-            carried_over=file,
+            carried_over=prior,
             gates=settings.gates,
             min_gain=settings.verification.min_gain,
             table=settings.table,

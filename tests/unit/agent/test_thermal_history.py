@@ -148,10 +148,53 @@ class TestNow:
         assert "9.0 days" in refused(call(files, "now", *options, *readings(files, 6)))
         assert not (files.folder / "now").exists()
 
-    @pytest.mark.parametrize("text", ["column", "column=warm", "=21"])
-    def test_a_temperature_without_a_number_is_refused(self, files: SeasonFiles, text: str) -> None:
-        result = call(files, "now", "--out", files.folder / "now", "--temperature", text)
-        assert result.exit_code == 2
+    @pytest.mark.parametrize(
+        ("texts", "expected"),
+        [
+            (["column"], "'column' is not NAME=DEGREES"),
+            (["column=warm"], "'column=warm' is not NAME=DEGREES"),
+            (["column=nan"], "'column=nan' is not between -30 and 90"),
+            (["column=inf"], "'column=inf' is not between -30 and 90"),
+            (["column=294.6"], "'column=294.6' is not between -30 and 90"),  # kelvins
+            (["ram=21", "ram=22"], "'ram' is stated twice"),
+        ],
+    )
+    def test_a_temperature_that_is_none_is_refused(self, files: SeasonFiles, texts: list[str], expected: str) -> None:
+        options = [each for text in texts for each in ("--temperature", text)]
+        assert expected in refused(call(files, "now", "--out", files.folder / "now", *options))
+
+    def test_a_time_that_is_none_in_utc_is_refused(self, files: SeasonFiles) -> None:
+        options = ("--out", files.folder / "now", "--at", "0001-01-01T00:00+14:00")
+        assert "is not a time" in refused(call(files, "now", *options))
+
+    def test_positions_that_cannot_be_read_leave_nothing(self, files: SeasonFiles) -> None:
+        out, balls = files.folder / "now", files.folder / "empty.csv"
+        balls.write_text("", encoding="utf-8")
+        options = ("--at", files.at(6).isoformat(), "--out", out, "--measured", balls)
+        assert "empty.csv" in refused(call(files, "now", *options, *readings(files, 6)))
+        assert not out.exists()
+
+    def test_a_new_prediction_removes_the_estimate_and_table_of_the_former(self, files: SeasonFiles) -> None:
+        out = files.folder / "now"
+        out.mkdir()
+        (out / "estimate.json").write_text('{"provenance": {"run_id": "identify-20260313T150000Z"}}', encoding="utf-8")
+        (out / "table.csv").write_text("former", encoding="utf-8")
+        called(files, "now", "--at", files.at(6).isoformat(), "--out", out, *readings(files, 6))
+        assert [path.name for path in out.iterdir()] == ["predicted.json"]
+
+    def test_the_folder_of_a_run_is_refused(self, files: SeasonFiles) -> None:
+        run = files.folder / "state" / run_id(NIGHTS - 1)
+        options = ("--at", files.at(6).isoformat(), "--out", run, *readings(files, 6))
+        assert "would replace the estimate of a run" in refused(call(files, "now", *options))
+        assert [path.name for path in run.iterdir()] == ["estimate.json"]
+
+    def test_a_last_run_without_the_reading_is_named(self, files: SeasonFiles) -> None:
+        last = run_id(NIGHTS - 1)
+        change_database(files, "DELETE FROM volcal_temperatures WHERE sensor = 'ram' AND run_id = ?", last)
+        options = ("--at", files.at(6).isoformat(), "--out", files.folder / "now", "--sensor", "ram")
+        message = refused(call(files, "now", *options, "--temperature", "ram=21"))
+        assert "no usable reading of the sensor ram" in message
+        assert last in message
 
     def test_an_unknown_sensor_is_refused(self, files: SeasonFiles) -> None:
         options = ("--at", files.at(6).isoformat(), "--out", files.folder / "now", "--temperature", "spindle=30")
