@@ -60,6 +60,11 @@ def test_wrong_input_is_refused_in_one_line():
         ((*slot, *budget, "--balls", "2"), 2, ("2 is not between 3 and 99", "--balls")),
         ((*slot, *budget, "--ball-places", "0,300,200"), 2, ("do not begin with 0 and rise", "--ball-places")),
         ((*slot, *budget, "--length-mm", "long"), 2, ("separated by commas",)),
+        ((*slot, *budget, "--ball-places", "0,200,500", "--balls", "4"), 2, ("--ball-places", "leave out")),
+        ((*slot, *budget, "--grid-deg", "40"), 2, ("40° does not divide 90°", "--grid-deg")),
+        ((*slot, *budget, "--screening-grid-deg", "0"), 2, ("--screening-grid-deg", "1.0<=x<=90.0")),
+        ((*slot, *budget, "--out", "costs.toml"), 2, ("a directory is needed", "costs.toml")),
+        ((*slot, "--budget", "inf"), 2, ("finite",)),
         (slot, 2, ("--budget",)),
     ]:
         found = refused(*COMMAND, *arguments)

@@ -21,7 +21,7 @@ if will_run():
     from rich.table import Table
 
     from agent.cli.printing import columns_table, facts_table, results_console
-    from agent.files import translated
+    from agent.files import check_folder, translated
     from agent.planning.case_file import load_case
     from agent.planning.design.artefact_costs import SHIPPED_COSTS, load_costs
     from agent.planning.design.artefact_design import ArtefactDesign, ArtefactDesigner, DesignedVariant
@@ -36,6 +36,8 @@ if will_run():
     from drivers.clock import wall_seconds
     from drivers.errors import InputError
     from twin.artefact.ball_spacing import BallSpacing, stated_places
+    from twin.design.candidates import orientation_grid
+    from twin.errors import DataError
 
 _LENGTH_SHARES = (0.6, 0.8, 1.0, 1.2)
 _BALLS = (5, 6, 7, 9, 11)
@@ -54,6 +56,7 @@ _WORDS = {
     "stations": "stations",
 }
 _MOST_REASONS = 8
+_STEP = click.FloatRange(1.0, 90.0)
 
 
 def _listed(kind: Callable[[str], Any]) -> Callable[[click.Context, click.Parameter, str | None], tuple[Any, ...]]:
@@ -115,8 +118,8 @@ def _number(text: str) -> float:
 @click.option("--stations", callback=_listed(int), metavar="2,3,4", help="Numbers of stations to choose from.")
 @click.option("--carry", type=Duration(), metavar="3min", help="Time of a change of station instead of the settings'.")
 @click.option("--free-stations", is_flag=True, help="Also improve the places of the stations of the best variant.")
-@click.option("--grid-deg", type=float, default=15.0, show_default=True, help="Step of the angles of the positions.")
-@click.option("--screening-grid-deg", type=float, default=30.0, show_default=True, help="The same while screening.")
+@click.option("--grid-deg", type=_STEP, default=15.0, show_default=True, help="Step of the angles of the positions.")
+@click.option("--screening-grid-deg", type=_STEP, default=30.0, show_default=True, help="The same while screening.")
 @click.option("--most", type=click.IntRange(min=1), default=120, show_default=True, help="Most variants to screen.")
 @click.option(
     "--finalists",
@@ -155,27 +158,39 @@ def design_artefact_command(
     """Choose artefact and mount for a slot and a budget."""
     started = wall_seconds()
     if not (math.isfinite(budget) and budget > 0.0):
-        raise InputError(f"the budget must be above zero, not {budget:g}", key="--budget")
+        raise InputError(f"the budget must be a finite amount above zero, not {budget:g}", key="--budget")
+    if ball_places and (length_mm or balls or spacing):
+        raise InputError(
+            "--ball-places already states length, number and spacing of the balls",
+            hint="leave out --length-mm, --balls and --spacing",
+            key="--ball-places",
+        )
+    for option, step_deg in (("--grid-deg", grid_deg), ("--screening-grid-deg", screening_grid_deg)):
+        try:
+            orientation_grid(step_deg)
+        except DataError as error:
+            raise InputError(error.message, hint=error.hint, key=option) from None
+    check_folder(out)
     prices = load_costs(SHIPPED_COSTS if costs is None else costs)
     with naming(config):
         base = config.resolve().parent
         job = _carried(with_learned_latencies(load_case(config), base), carry)
         present = PresentEquipment(job, base, prices.calibration)
         present_variant = present.variant
-        choices = _choices(
-            VariantChoices(
-                balls=balls or _BALLS,
-                length_mm=length_mm or tuple(round(share * present_variant.length_mm, -1) for share in _LENGTH_SHARES),
-                stations=stations or _STATIONS,
-                centre=_centres(centre or _CENTRES),
-                height_mm=height_mm or tuple(present_variant.height_mm + shift for shift in _SHIFTS_MM),
-                across_mm=across_mm or tuple(present_variant.across_mm + shift for shift in _SHIFTS_MM),
-                spacing=_spacings(spacing),
-                tilt_deg=theta_deg or _TILTS_DEG,
-                stated_mm=((),),
-            ),
-            ball_places,
-        )
+    choices = _choices(
+        VariantChoices(
+            balls=balls or _BALLS,
+            length_mm=length_mm or tuple(round(share * present_variant.length_mm, -1) for share in _LENGTH_SHARES),
+            stations=stations or _STATIONS,
+            centre=_centres(centre or _CENTRES),
+            height_mm=height_mm or tuple(present_variant.height_mm + shift for shift in _SHIFTS_MM),
+            across_mm=across_mm or tuple(present_variant.across_mm + shift for shift in _SHIFTS_MM),
+            spacing=_spacings(spacing),
+            tilt_deg=theta_deg or _TILTS_DEG,
+            stated_mm=((),),
+        ),
+        ball_places,
+    )
     with Console(stderr=True).status("") as status:
         screening = Screening(
             present,
