@@ -13,6 +13,8 @@ from campaigns.faults.fault_scene import FaultScene
 from drivers.roles import AxisLimits, Vector
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
+from twin.collision.bodies import ball_name, post_name
+from twin.collision.geometry import Point
 
 MM_PER_INCH = 25.4
 CLEARANCE_MM = ProcedureSettings().clearance_mm
@@ -22,14 +24,14 @@ def mount_off(scene: FaultScene, rng: Generator) -> None:
     """Turn the mount about the vertical by some tenths of a degree, as after a knock."""
     by_deg = float(rng.uniform(0.02, 0.5) * rng.choice([-1.0, 1.0]))
     scene.size = f"{by_deg:+.2f}°"
-    scene.world.workpiece.shift((0.0, 0.0, 0.0), by_deg)
+    _shift(scene, (0.0, 0.0, 0.0), by_deg)
 
 
 def mount_knocked(scene: FaultScene, rng: Generator) -> None:
     """Displace the mount by up to some millimetres."""
     x, y = (float(value) for value in rng.uniform(-1.0, 1.0, 2) * np.exp(rng.uniform(np.log(0.002), np.log(5.0))))
     scene.size = f"{x:+.3f}, {y:+.3f} mm"
-    scene.world.workpiece.shift((x, y, 0.0), 0.0)
+    _shift(scene, (x, y, 0.0), 0.0)
 
 
 def bar_reversed(scene: FaultScene, _: Generator) -> None:
@@ -70,10 +72,19 @@ def wrong_bar(scene: FaultScene, rng: Generator) -> None:
     _displace(scene, artefact.balls + sigma_mm * rng.standard_normal(artefact.balls.shape))
 
 
+def _shift(scene: FaultScene, by_mm: Point, turned_deg: float) -> None:
+    """Move the mount with all balls and posts, and note them if one of them may be off by more than the clearance."""
+    balls = scene.world.workpiece.artefact.balls
+    lever_mm = float(np.linalg.norm(balls, axis=1).max())
+    if np.linalg.norm(by_mm) + abs(np.deg2rad(turned_deg)) * lever_mm > CLEARANCE_MM:
+        scene.displaced |= {name(ball) for name in (ball_name, post_name) for ball in range(len(balls))}
+    scene.world.workpiece.shift(by_mm, turned_deg)
+
+
 def _displace(scene: FaultScene, balls: Array) -> None:
     """Put the balls elsewhere, and note those that are off by more than the clearance of the paths."""
     off_mm = np.linalg.norm(balls - scene.world.workpiece.artefact.balls, axis=1)
-    scene.displaced |= {f"ball {ball}" for ball in np.flatnonzero(off_mm > CLEARANCE_MM)}
+    scene.displaced |= {ball_name(int(ball)) for ball in np.flatnonzero(off_mm > CLEARANCE_MM)}
     _carry(scene, balls)
 
 

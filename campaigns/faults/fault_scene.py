@@ -59,10 +59,10 @@ class FaultScene:
     `size` describes the size of the last fault in words. `stopped_s` is the first instant of a fault after which the
     axes must stand still, and `aborted_s` that of an abort by request, both in s of machine time. `repairs` are
     functions that remove the faults in the morning, in the order of the faults. `deceived` are the banks whose
-    activations the controller has reported without making them active. `displaced` are the names of the balls that a
-    fault has displaced by more than the clearance that the paths keep. `shared` and `proxy` are the world with its
-    lock and the proxy of a night on a real wire, and `connect` makes the devices of a rig. `axes_linked` is True if the
-    axes are behind the proxy, so that they must stand still once it lets nothing pass.
+    activations the controller has reported without making them active. `displaced` are the names of the balls
+    and posts that a fault has displaced by more than the clearance that the paths keep. `shared` and `proxy` are the
+    world with its lock and the proxy of a night on a real wire, and `connect` makes the devices of a rig. `axes_linked`
+    is True if the axes are behind the proxy, so that they must stand still once it lets nothing pass.
     """
 
     world: World

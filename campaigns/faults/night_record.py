@@ -28,8 +28,8 @@ class NightRecord:
     for a resumed run that nothing disturbs any more. `repeated` are the keys of touches that were measured again
     although they were acknowledged and not discarded.
 
-    `collisions` are those that must not be, and `struck` those with a ball that a fault has displaced by more than the
-    clearance of the paths, which volcal cannot know: between two balls the axes are at rapid traverse.
+    `collisions` are those that must not be, and `struck` those with a ball or a post that a fault has displaced by more
+    than the clearance of the paths, which volcal cannot know.
 
     `stopped_s` is the instant of a fault after which nothing may move; `stands_from_s` is the instant from which the
     axes stood still until the end of the night. `moved_after_end_mm` is the travel of the axes in mm after the end of

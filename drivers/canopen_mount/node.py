@@ -69,6 +69,7 @@ class DriveNode:
         self._booted = False
         self._nmt_state: int | None = None
         self._emergencies: list[int] = []
+        self._sent: set[DriveObject] = set()
         self._node.nmt.add_heartbeat_callback(self._on_heartbeat)
         self._node.emcy.add_callback(self._on_emergency)
 
@@ -99,7 +100,7 @@ class DriveNode:
         try:
             return self.read(entry)
         except CommandRejected as refused:
-            if isinstance(refused.__cause__, canopen.SdoAbortedError) and refused.__cause__.code in NO_SUCH_OBJECT:
+            if _has_no_such_object(refused):
                 return None
             raise
 
@@ -112,7 +113,23 @@ class DriveNode:
         return data.split(b"\0")[0].decode("ascii", errors="replace").strip()
 
     def read_bytes(self, entry: DriveObject) -> bytes:
-        return self._transfer(str(entry), lambda: self._upload(entry.index, entry.subindex))
+        """Return the content of an object of the node. Raises the same errors as `read`.
+
+        A drive does not lose an object that it has sent before: such an answer is one to a request that was altered on
+        the way, for example between an adapter on a serial line or a network and this computer.
+        """
+        try:
+            content = self._transfer(str(entry), lambda: self._upload(entry.index, entry.subindex))
+        except CommandRejected as refused:
+            if entry in self._sent and _has_no_such_object(refused):
+                raise ProtocolError(
+                    f"the drive has sent {entry} before, and now answers that it has no such object",
+                    hint="a byte was altered on the way; check the cable, the connectors and the CAN adapter",
+                    **self.where,
+                ) from refused
+            raise
+        self._sent.add(entry)
+        return content
 
     def write(self, entry: DriveObject, value: int) -> None:
         """Write a value to an object of the node.
@@ -318,3 +335,8 @@ class NodeMonitor:
         if not self._silent:
             self._silent = True
             _log.warning("heartbeat missing, the drive still answers", **self._node.where)
+
+
+def _has_no_such_object(refused: CommandRejected) -> bool:
+    """Return True if the drive refused because it has no such object or sub-index."""
+    return isinstance(refused.__cause__, canopen.SdoAbortedError) and refused.__cause__.code in NO_SUCH_OBJECT

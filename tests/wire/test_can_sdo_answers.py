@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from drivers.canopen_mount.node import DriveNode
 from drivers.canopen_mount.objects import STATUSWORD
-from drivers.errors import LinkError, ProtocolError, VolcalError
+from drivers.errors import CommandRejected, LinkError, ProtocolError, VolcalError
 from drivers.links.can_adapters import CanAddress
 from drivers.links.can_bus import CanNetworks
 
@@ -92,6 +92,21 @@ SEGMENTED = bytes.fromhex("41 08 10 00 00 00 00 00")
 
 def segment(number: int, text: bytes, *, last: bool) -> bytes:
     return bytes([(number % 2) << 4 | (7 - len(text)) << 1 | last]) + text.ljust(7, b"\0")
+
+
+def test_an_object_that_is_refused_after_it_was_sent_is_an_altered_request() -> None:
+    """Golden frames of CiA 301: an expedited upload of 0x6041 with two bytes, and the abort 0x06020000."""
+    sent, refused = bytes.fromhex("4B41600037020000"), bytes.fromhex("8041600000000206")
+    with connected() as (node, peer):
+        peer.answers += [sent, refused]
+        assert node.read(STATUSWORD) == 0x0237
+        with pytest.raises(ProtocolError, match="has sent 0x6041:00 statusword before") as caught:
+            node.read(STATUSWORD)
+        assert caught.value.where["axis"] == "azimuth"
+    with connected() as (node, peer):
+        peer.answers.append(refused)
+        with pytest.raises(CommandRejected, match="0x06020000"):
+            node.read(STATUSWORD)
 
 
 def test_a_text_in_segments_is_read() -> None:

@@ -134,11 +134,10 @@ class ArtefactDesigner:
                 break
             finalists.append(self._designed(one.variant))
         present = next((one for one in finalists if one.variant == own), None) or self._designed(own)
-        best = self._proved(finalists)
+        exhausted = self.search.exhausted
+        best, changes = self._improved(finalists)
         if free_stations:
             best = self._with_free_stations(best)
-        exhausted = self.search.exhausted
-        changes = tuple(self._screening.result(one) for one in self.search.changes(best.variant))
         return ArtefactDesign(
             present=present,
             finalists=tuple(finalists),
@@ -148,6 +147,22 @@ class ArtefactDesigner:
             changes=changes,
             exhausted=exhausted,
         )
+
+    def _improved(self, finalists: list[DesignedVariant]) -> tuple[DesignedVariant, tuple[ScreenedVariant, ...]]:
+        """Return the best of `finalists` whose preflight passes, and the results of screening the variants that differ
+        from it in one property. Of those that cost no more than the budget and screen better than it, the best one is
+        designed too and becomes a finalist, until it is not better or there is none."""
+        former = None
+        while True:
+            best = self._proved(finalists)
+            changes = tuple(self._screening.result(one) for one in self.search.changes(best.variant))
+            known = {one.variant for one in finalists}
+            rivals = [one for one in self.search.affordable(changes) if one.variant not in known]
+            own_um = self._screening.result(best.variant).vce_um
+            if best.variant == former or not rivals or not rivals[0].vce_um < own_um:
+                return best, changes
+            former = best.variant
+            finalists.append(self._designed(rivals[0].variant))
 
     def _designed(self, variant: ArtefactVariant) -> DesignedVariant:
         try:

@@ -9,9 +9,8 @@ variant known. All results are kept, so that the later descents need few new one
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from itertools import product
 from operator import itemgetter
 from typing import Any
 
@@ -67,12 +66,10 @@ class VariantChoices:
         return variant
 
     def cheapest(self, like: ArtefactVariant, price: Callable[[ArtefactVariant], float]) -> ArtefactVariant:
-        """Return the variant with the least `price`. Prices of properties add up, except those of the rotation centre
-        and of the height, which are tried together."""
+        """Return the variant with the least `price`; the prices of the properties add up."""
         for name in PROPERTIES:
             like = min((replace(like, **{name: value}) for value in self.of(name)), key=price)
-        pairs = product(self.centre, self.height_mm)
-        return min((replace(like, centre=centre, height_mm=height) for centre, height in pairs), key=price)
+        return like
 
 
 PROPERTIES = tuple(field.name for field in fields(VariantChoices))
@@ -99,10 +96,10 @@ class VariantSearch:
         at = self.choices.nearest(self.screening.present.variant)
         for weight in _WEIGHTS:
             at = self._descend(at, weight)
-        found = self._affordable()
+        found = self.affordable(self.screening.screened)
         if found:
             self._descend(found[0].variant, None)
-            found = self._affordable()
+            found = self.affordable(self.screening.screened)
         if not found:
             self._raise_nothing_measurable()
         return found
@@ -157,8 +154,10 @@ class VariantSearch:
             return None
         return self.screening.result(variant)
 
-    def _affordable(self) -> tuple[ScreenedVariant, ...]:
-        every = (one for one in self.screening.screened if self.choices.allow(one.variant))
+    def affordable(self, screened: Iterable[ScreenedVariant]) -> tuple[ScreenedVariant, ...]:
+        """Return those of `screened` that may be chosen, can be measured, and cost at most the budget, by rising
+        error."""
+        every = (one for one in screened if self.choices.allow(one.variant))
         within = (one for one in every if one.measurable and one.purchase_euro <= self.budget_euro)
         return tuple(sorted(within, key=lambda one: (one.vce_um, one.purchase_euro)))
 
