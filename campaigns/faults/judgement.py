@@ -139,7 +139,7 @@ def _unseen(scene: FaultScene, reason: str) -> str:
     if not runs or FORMER_BANK not in scene.deceived:
         return ""
     if scene.deceived != {FORMER_BANK} and journal.has_decision(runs[-1].run, ("proof",)):
-        if NOT_SHOWN not in reason:
+        if NOT_SHOWN not in reason or any(words in reason for words in UNRESTORED):
             return ""  # the proof has measured that the first activation was reported wrongly
         return (
             "the controller reports the former bank as active, and the tables differ too little for the proof to tell"
