@@ -100,7 +100,15 @@ class SensorDrift:
     def walk_um(self) -> float:
         """Rms change in µm of the error field in one day that no sensor explains."""
         synthesis = self.found.directions.synthesis
-        covariance = (synthesis * self.found.fit.walk) @ synthesis.T
+        return self.uncertainty_um((synthesis * self.found.fit.walk) @ synthesis.T)
+
+    def change_um(self, change: Array) -> float:
+        """Return the rms in µm of the error field over the workspace for a change (p,) of the parameters."""
+        return UM_PER_MM * math.sqrt(max(float(change @ self.form @ change), 0.0))
+
+    def uncertainty_um(self, covariance: Array) -> float:
+        """Return the rms standard uncertainty in µm of the error field over the workspace for a covariance (p, p) of
+        the parameters."""
         return UM_PER_MM * math.sqrt(max(float(np.vdot(self.form, covariance)), 0.0))
 
     @cached_property
@@ -113,8 +121,7 @@ class SensorDrift:
                 continue
             place = self.found.sensors.index(verdict.name)
             taken = place in self.found.fit.taken
-            column = coefficients[:, place]
-            field = UM_PER_MM * math.sqrt(max(float(column @ self.form @ column), 0.0))
+            field = self.change_um(coefficients[:, place])
             reason = "" if taken else "adds nothing that the nights support"
             gain = float(self.found.fit.log_gain[place])
             effects.append(SensorEffect(verdict.name, taken, reason, verdict.left_out, gain, field if taken else None))

@@ -16,10 +16,7 @@ from campaigns.bad_plans.mutation import BadPlan, setting
 from campaigns.bad_plans.steps import step_plans
 from drivers.errors import ConfigurationError
 
-MAY_BE_NEGATIVE = (
-    "mount.table_z_mm",
-    "mount.head_mm",
-)
+MAY_BE_NEGATIVE = ("mount.table_z_mm", "mount.head_mm")
 EVERYWHERE = {"nan": math.nan, "inf": math.inf}
 
 

@@ -32,7 +32,7 @@ from twin.identification import CarriedOverPrior, Options
 from twin.machine.volumetric import evaluation_grid
 from twin.monitoring.residual_with_active_table import ResidualWithTable
 from twin.monitoring.thermal_drift import after_change
-from twin.units import S_PER_DAY, UM_PER_MM
+from twin.units import S_PER_DAY
 
 PREDICTED_NAME = "predicted.json"
 LONGEST_DAYS = 7.0
@@ -161,8 +161,8 @@ def machine_now(drift: SensorDrift, settings: Settings, request: NowRequest) -> 
         _errors(drift, known),
         _errors(drift, moved),
         after,
-        UM_PER_MM * math.sqrt(max(float(change @ drift.form @ change), 0.0)),
-        UM_PER_MM * math.sqrt(max(float(np.vdot(drift.form, covariance)), 0.0)),
+        drift.change_um(change),
+        drift.uncertainty_um(covariance),
         _largest(drift, change, covariance),
         request.out / (PREDICTED_NAME if identification is None else ESTIMATE_NAME),
         identification,

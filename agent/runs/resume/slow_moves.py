@@ -1,8 +1,8 @@
 """Moves of a resumed run until its first contact with a ball.
 
 A ball may have been displaced by the collision that ended the run, or by a person while it stood still, and between two
-balls the axes move at rapid traverse. A guarded move stops within the overtravel of the probe only at the
-feed of guarded moves.
+balls the axes move at rapid traverse. A guarded move stops within the overtravel of the probe only at the feed of
+guarded moves.
 """
 
 from __future__ import annotations
