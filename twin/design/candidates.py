@@ -25,6 +25,9 @@ from twin.machine.volumetric import VolumetricRms
 
 Indices = NDArray[np.intp]
 
+SMALLEST_STEP_DEG = 2.5
+"""Smallest step in degrees of a grid of orientations, which then has 10,512 of them."""
+
 _MIN_INFORMATION = 1e-13  # of the largest information of a position: below it the prior is far more informative
 
 
@@ -98,8 +101,14 @@ def orientation_grid(step_deg: float) -> tuple[tuple[float, float], ...]:
     No two pairs describe the same placement of the artefact. If a bar with balls (the artefact) is rotated by 180° in
     azimuth and the sign of its elevation is changed, it lies along the same line. Its balls are then on the other side
     of the mount, because the ball holders make the artefact asymmetric. Raise DataError if 90° is not a multiple of the
-    step.
+    step, or if the step is less than `SMALLEST_STEP_DEG`.
     """
+    if 0.0 < step_deg < SMALLEST_STEP_DEG:
+        raise DataError(
+            f"the grid step {step_deg:g}° is less than {SMALLEST_STEP_DEG:g}°",
+            hint="the number of orientations grows with the square of its inverse; choose for example 5, 10, 15 or 30",
+            key="grid",
+        )
     steps = 90.0 / step_deg if step_deg > 0.0 else 0.0
     if not (steps >= 1.0 and abs(steps - round(steps)) < 1e-9):
         raise DataError(

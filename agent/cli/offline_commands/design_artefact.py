@@ -56,7 +56,6 @@ _WORDS = {
     "stations": "stations",
 }
 _MOST_REASONS = 8
-_STEP = click.FloatRange(1.0, 90.0)
 
 
 def _listed(kind: Callable[[str], Any]) -> Callable[[click.Context, click.Parameter, str | None], tuple[Any, ...]]:
@@ -118,8 +117,8 @@ def _number(text: str) -> float:
 @click.option("--stations", callback=_listed(int), metavar="2,3,4", help="Numbers of stations to choose from.")
 @click.option("--carry", type=Duration(), metavar="3min", help="Time of a change of station instead of the settings'.")
 @click.option("--free-stations", is_flag=True, help="Also improve the places of the stations of the best variant.")
-@click.option("--grid-deg", type=_STEP, default=15.0, show_default=True, help="Step of the angles of the positions.")
-@click.option("--screening-grid-deg", type=_STEP, default=30.0, show_default=True, help="The same while screening.")
+@click.option("--grid-deg", type=float, default=15.0, show_default=True, help="Step of the angles of the positions.")
+@click.option("--screening-grid-deg", type=float, default=30.0, show_default=True, help="The same while screening.")
 @click.option("--most", type=click.IntRange(min=1), default=120, show_default=True, help="Most variants to screen.")
 @click.option(
     "--finalists",
@@ -191,6 +190,9 @@ def design_artefact_command(
         ),
         ball_places,
     )
+    if ball_places:
+        with translated(InputError, key="--ball-places"):
+            present.check_places(ball_places, choices.tilt_deg)
     with Console(stderr=True).status("") as status:
         screening = Screening(
             present,

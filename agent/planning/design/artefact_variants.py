@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
@@ -22,6 +23,7 @@ from twin.artefact.artefact import Artefact
 from twin.artefact.ball_spacing import BallSpacing, spaced_balls, stated_places
 from twin.artefact.certificate import with_length_uncertainty
 from twin.artefact.mount_geometry import MountGeometry
+from twin.errors import DataError
 from twin.units import MM_PER_UM
 
 _ANY_SET = "S1+S2+S3"  # the positions are designed; a position file could name stations that a variant has not
@@ -157,16 +159,17 @@ class PresentEquipment:
     @cached_property
     def variant(self) -> ArtefactVariant:
         """Variant with the properties of the present artefact and mount."""
-        first = self.job.layout.location(min(self.job.layout.locations_mm))
+        first, bar = self.job.layout.location(min(self.job.layout.locations_mm)), self.bar
         return ArtefactVariant(
-            length_mm=round(self.bar.length_mm, 0),
+            length_mm=round(bar.length_mm, 0),
             balls=self.job.artefact.count,
-            spacing=BallSpacing.EVEN,
-            tilt_deg=round(self.bar.tilt_deg, 0),
+            spacing=bar.spacing or BallSpacing.EVEN,
+            tilt_deg=round(bar.tilt_deg, 0),
             centre=RotationCentre.of(self.job.settings.mount),
             across_mm=float(first[self._across]),
             height_mm=float(first[_Z]),
             stations=len(self.job.layout.locations_mm),
+            stated_mm=() if bar.spacing else tuple((bar.along_mm - bar.along_mm[0]).round(1).tolist()),
         )
 
     def equipment(self, variant: ArtefactVariant) -> Equipment:
@@ -191,6 +194,24 @@ class PresentEquipment:
             name=f"bar {variant.length_mm:g}, {variant.balls} balls, {variant.spacing_text}, {variant.tilt_deg:g}°",
             covariance=with_length_uncertainty(bar.balls, alone, stated.length_standard_uncertainty_ppm),
         )
+
+    def check_places(self, stated_mm: tuple[float, ...], tilts_deg: Sequence[float]) -> None:
+        """Raise DataError if a bar with balls at the distances `stated_mm` from the first one cannot be made with any
+        of the tilts of its holders, because its balls overlap."""
+        apart = 0
+        for tilt_deg in tilts_deg:
+            try:
+                self.bar.with_(tilt_deg=tilt_deg, along_mm=stated_places(stated_mm))
+            except DataError as error:
+                refused = error
+            else:
+                apart += 1
+        if not apart:
+            raise DataError(
+                refused.message,
+                hint=f"the balls have a diameter of {self.job.artefact.ball_diameter_mm:g} mm; state places that are "
+                "further apart",
+            )
 
     def places_mm(self, variant: ArtefactVariant) -> Array:
         """Return the places (stations, 3) in mm of the mount, evenly spaced along the axis of the stations.

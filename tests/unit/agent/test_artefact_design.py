@@ -175,6 +175,22 @@ class TestFrames:
         assert np.abs(job.artefact.balls - shipped_job().artefact.balls).max() < 0.1
         assert job.settings.mount == shipped_job().settings.mount
 
+    @pytest.mark.parametrize(("spacing", "stated_mm"), [("ends", ()), ("even", (0.0, 200.0, 450.0, 1499.0))])
+    def test_a_bar_that_was_designed_is_the_present_variant_of_the_next_design(
+        self, spacing: str, stated_mm: tuple[float, ...]
+    ) -> None:
+        designed = replace(
+            present().variant,
+            length_mm=stated_mm[-1] if stated_mm else 1800.0,
+            balls=len(stated_mm) or 6,
+            spacing=BallSpacing(spacing),
+            tilt_deg=0.0,
+            stated_mm=stated_mm,
+        )
+        again = PresentEquipment(present().job_of(designed), CASE_STUDY.parent, costs().calibration)
+        assert again.variant == designed
+        assert again.artefact(again.variant).balls == pytest.approx(present().artefact(designed).balls)
+
     def test_the_certificate_is_a_and_l_over_k(self) -> None:
         stated = costs().calibration
         artefact = present().artefact(replace(present().variant, tilt_deg=0.0))

@@ -30,6 +30,7 @@ from agent.studies.verdict_table import worst_deviation
 from agent.studies.workers import generator
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact, ball_bar
+from twin.artefact.ball_spacing import BallSpacing, spaced_balls, stated_places
 from twin.artefact.position_set import parse_position_set
 from twin.errors import DataError
 from twin.identification import Options
@@ -152,6 +153,29 @@ class TestBar:
         assert np.sqrt(np.diagonal(made.covariance)) == pytest.approx(0.8e-3)
         assert made.cte_standard_uncertainty_per_k == shipped_job().artefact.cte_standard_uncertainty_per_k
 
+    @pytest.mark.parametrize("spacing", BallSpacing)
+    def test_the_rule_of_the_spacing_is_found_and_holds_for_another_number(self, spacing: BallSpacing) -> None:
+        even = Bar.of(shipped_job().artefact)
+        made = even.with_(along_mm=spaced_balls(6, 1800.0, spacing))
+        displaced = replace(made, balls=made.balls + 0.4 * np.sin(np.arange(18.0)).reshape(6, 3))
+        bar = Bar.of(displaced)
+        assert (bar.spacing, bar.tilt_deg) == (spacing, pytest.approx(15.0, abs=0.5))
+        assert bar.with_().balls == pytest.approx(made.balls, abs=0.6)
+        assert bar.with_(balls=9).balls[:, 0] == pytest.approx(spaced_balls(9, bar.length_mm, spacing))
+
+    def test_a_bar_without_a_rule_keeps_its_places_and_has_no_other_number_of_balls(self) -> None:
+        along_mm = stated_places((0.0, 140.0, 310.0, 1000.0, 1234.5))
+        bar = Bar.of(Bar.of(shipped_job().artefact).with_(along_mm=along_mm))
+        assert bar.spacing is None
+        assert bar.with_(tilt_deg=30.0).balls[:, 0] == pytest.approx(along_mm)
+        with pytest.raises(DataError, match="by no rule that is known, so a bar like it with 4 balls is not determined"):
+            bar.with_(balls=4)
+
+    def test_a_bar_with_the_origin_elsewhere_is_refused(self) -> None:
+        certified = shipped_job().artefact
+        with pytest.raises(DataError, match=r"deviate by up to 20\.\d mm"):
+            Bar.of(replace(certified, balls=certified.balls + np.array([20.0, 0.0, 0.0])))
+
     def test_tilted_holders_set_the_balls_off_by_their_sine(self) -> None:
         bar = Bar.of(shipped_job().artefact)
         straight, tilted = bar.with_(tilt_deg=0.0).balls, bar.with_(tilt_deg=30.0).balls
@@ -160,7 +184,7 @@ class TestBar:
 
     def test_another_artefact_is_refused_with_a_hint(self) -> None:
         plate = replace(shipped_job().artefact, balls=shipped_job().artefact.balls[:, [1, 0, 2]])
-        with pytest.raises(DataError, match="not a bar of equally spaced balls") as caught:
+        with pytest.raises(DataError, match="not a bar of balls on tilted holders") as caught:
             Bar.of(plate)
         assert "ball-bar-1500" in (caught.value.hint or "")
 

@@ -256,6 +256,12 @@ def test_a_grid_must_divide_a_right_angle(step: float):
         orientation_grid(step)
 
 
+def test_a_grid_that_fills_the_memory_is_refused():
+    with pytest.raises(DataError, match=r"the grid step 1e-06° is less than 2\.5°"):
+        orientation_grid(1e-6)
+    assert len(orientation_grid(2.5)) == 10_512
+
+
 def test_the_grid_goes_all_around_once():
     angles = orientation_grid(15.0)
     assert len(angles) == len(set(angles)) == 24 * 13
