@@ -97,11 +97,14 @@ class ModbusStore:
         return self._limits
 
     def active_bank(self) -> int:
-        return self._session.status().active_bank
+        """Return the active bank. Raises ProtocolError if the controller states a bank that it does not have: the
+        answer was altered on its way, or the controller does not follow the register map."""
+        return self._one_of_its_own(self._session.status().active_bank)
 
     def pending_bank(self) -> int | None:
+        """Return the pending bank, or None if no activation is pending. Raises ProtocolError as `active_bank` does."""
         pending = self._session.status().pending_bank
-        return None if pending == NO_BANK else pending
+        return None if pending == NO_BANK else self._one_of_its_own(pending)
 
     def read_table(self, bank: int) -> TableImage | None:
         """Return the table of `bank`, or None for bank 0 and for an inactive bank without a complete table.
@@ -225,6 +228,16 @@ class ModbusStore:
             return self._session.layouts.descriptor.pack(descriptor)
         except ValueError as error:
             raise self._error("the table does not fit the controller's registers") from error
+
+    def _one_of_its_own(self, bank: int) -> int:
+        banks = len(self._limits.banks)
+        if not 0 <= bank <= banks:
+            raise ProtocolError(
+                f"the controller names bank {bank}, but it has {banks} banks",
+                hint="an answer was altered on its way, or the controller does not follow the register map",
+                **self._session.where,
+            )
+        return bank
 
     def _require_known(self, bank: int) -> None:
         if bank not in self._limits.banks:

@@ -94,6 +94,17 @@ def test_a_damaged_active_bank_is_an_error(cnc: ModbusCnc, plc: FakePlc) -> None
         cnc.read_table(1)
 
 
+@pytest.mark.parametrize("bank", [3, 24066, 0xFFFE])
+def test_a_bank_that_the_controller_does_not_have_is_no_answer(cnc: ModbusCnc, plc: FakePlc, bank: int) -> None:
+    """An altered answer over Modbus TCP, which has no checksum."""
+    plc.registers[1038] = bank
+    with pytest.raises(ProtocolError, match=f"names bank {bank}, but it has 2 banks"):
+        cnc.active_bank()
+    plc.registers[1038], plc.registers[1043] = 0, bank
+    with pytest.raises(ProtocolError, match=f"names bank {bank}, but it has 2 banks"):
+        cnc.pending_bank()
+
+
 def test_a_descriptor_with_more_nodes_than_the_controller_has_is_refused_at_once(cnc: ModbusCnc, plc: FakePlc) -> None:
     """Its blocks would be read for years."""
     nodes_at = 9 + 4 + 2 * BlockLayouts(NumberFormat("float64")).descriptor.offset("nodes")
