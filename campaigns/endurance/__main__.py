@@ -2,8 +2,9 @@
 
     python -m campaigns.endurance [--runs 1000] [--minutes MINUTES] [--csv endurance.csv]
 
-The machine is simulated and is reached over Modbus TCP and CAN. The first run is a calibration; then verifications
-follow. Every tenth run is a calibration again, and every tenth is aborted while it measures, and reset. After each run
+The machine is simulated and is reached over Modbus TCP and CAN. Of ten runs one is a calibration, four are
+verifications, one is aborted while it measures, and reset, and four activate a stored table: that from before the last
+calibration that wrote one, and then that of this calibration, twice. After each run
 clients read what the page reads, and an event stream is opened and dropped. All runs but the latest are compacted. With
 --minutes no run begins after so many minutes of wall time, but for the first ten.
 
@@ -43,7 +44,11 @@ from campaigns.fortnight.play import SHORT
 from campaigns.fortnight.service_process import STATUS_POLL_S, ServiceHost, wait_for
 from twin.units import S_PER_MIN
 
-EVERY = 10
+KINDS = ("calibrate", "backup", "staged", "verify", "verify", "aborted", "verify", "backup", "staged", "verify")
+"""Kinds of ten runs. One is aborted while it measures. `backup` activates the table from before the last calibration that
+wrote one, and `staged` that of this calibration."""
+RESTORED = ("backup", "staged")
+EVERY = len(KINDS)
 WHOLE_RUNS = 5
 """Latest runs that are not compacted."""
 MOST_WAITING = 3
@@ -75,9 +80,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         host.config.write_text(settings.replace("[history]\n", compacting), encoding="utf-8")
         host.serve()
         rows: list[Row] = []
+        wrote: list[str] = []
         ends = began + S_PER_MIN * given.minutes
         while len(rows) < given.runs and (len(rows) < EVERY or perf_counter() < ends):
-            rows.append(_run(host, len(rows)))
+            rows.append(_run(host, len(rows), wrote))
         ended = host.stop()
         with open_journal(host.state) as journal:
             compacted = [row for row in journal.runs() if row.run in journal.compacted_runs()]
@@ -90,13 +96,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if result["passed"] else 1
 
 
-def _run(host: ServiceHost, number: int) -> Row:
-    """Carry out one run, let the clients read, and return what the service then uses."""
+def _run(host: ServiceHost, number: int, wrote: list[str]) -> Row:
+    """Carry out one run, let the clients read, and return what the service then uses. The identity of a calibration that
+    has written a table is appended to `wrote`."""
     host.set_time(FIRST_EVENING + timedelta(days=number))
-    kind = "calibrate" if number % EVERY == 0 else "verify"
-    aborted = number % EVERY == EVERY // 2
-    request = {"kind": kind, "source": "page", "consent": True, **({"stations": [1]} if kind == "verify" else {})}
-    run_id = host.post("/api/start", request).raise_for_status().json()["run_id"]
+    kind = KINDS[number % EVERY]
+    aborted = kind == "aborted"
+    if kind in RESTORED:
+        asked = host.post("/api/tables/restore", {"run_id": wrote[-1], "role": kind, "source": "page"})
+    else:
+        request = {"kind": "verify" if aborted else kind, "source": "page", "consent": True}
+        asked = host.post("/api/start", request | ({} if kind == "calibrate" else {"stations": [1]}))
+    run_id = asked.raise_for_status().json()["run_id"]
     if aborted:
         wait_for(lambda: host.status()["state"] == "measuring", "the measurement", STATUS_POLL_S)
         host.post("/api/abort", {"reason": "a person walks in"}, token=False).raise_for_status()
@@ -104,8 +115,11 @@ def _run(host: ServiceHost, number: int) -> Row:
     if state in ("aborted", "faulted"):
         host.post("/api/reset").raise_for_status()
     host.read((*READ_AFTER_A_RUN, f"/api/runs/{run_id}"))
+    stored = [(one["run_id"], one["role"]) for one in host.get("/api/tables")["kept"]]
+    if kind == "calibrate" and (run_id, "staged") in stored:
+        wrote.append(run_id)
     use = Use.of(host.pid, host.state)
-    row = {"run": number + 1, "kind": "aborted" if aborted else kind, "state": state, **asdict(use)}
+    row = {"run": number + 1, "kind": kind, "state": state, **asdict(use)}
     print(f"{number + 1:4d} {kind:9s} {state:9s} {use.memory_mb:6.1f} MB, {use.handles} handles, ", end="")
     print(f"{use.threads} threads, {use.disk_mb:.1f} MB on disk, {use.cpu_s:.1f} s", flush=True)
     return row
