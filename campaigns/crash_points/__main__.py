@@ -45,7 +45,8 @@ from campaigns.crash_points.crash_recorder import PointSelection
 from campaigns.crash_points.killed_runs import ACCEPTED, RUNS, play_run
 from campaigns.crash_points.process_kills import ProcessKill, ProcessKills, play_processes
 from campaigns.crash_points.process_kills import violations as process_violations
-from campaigns.faults.night_record import INVARIANTS, NightRecord, violations
+from campaigns.faults.invariants import INVARIANTS, violations
+from campaigns.faults.night_record import NightRecord
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -45,8 +45,8 @@ from campaigns.fortnight.service_process import STATUS_POLL_S, ServiceHost, wait
 from twin.units import S_PER_MIN
 
 KINDS = ("calibrate", "backup", "staged", "verify", "verify", "aborted", "verify", "backup", "staged", "verify")
-"""Kinds of ten runs. One is aborted while it measures. `backup` activates the table from before the last calibration that
-wrote one, and `staged` that of this calibration."""
+"""Kinds of ten runs. One is aborted while it measures. `backup` activates the table from before the last calibration
+that wrote one, and `staged` that of this calibration."""
 RESTORED = ("backup", "staged")
 EVERY = len(KINDS)
 WHOLE_RUNS = 5
@@ -97,8 +97,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(host: ServiceHost, number: int, wrote: list[str]) -> Row:
-    """Carry out one run, let the clients read, and return what the service then uses. The identity of a calibration that
-    has written a table is appended to `wrote`."""
+    """Carry out one run, let the clients read, and return what the service then uses. The identity of a calibration
+    that has written a table is appended to `wrote`."""
     host.set_time(FIRST_EVENING + timedelta(days=number))
     kind = KINDS[number % EVERY]
     aborted = kind == "aborted"

@@ -34,16 +34,9 @@ from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # must be set before numpy is imported
 
-from campaigns.faults.night_record import (
-    INVARIANTS,
-    NightRecord,
-    altered_but_better,
-    cannot_be_seen,
-    is_misled,
-    is_not_shown,
-    left_to_a_person,
-    violations,
-)
+from campaigns.faults.excuses import EXCUSES, cannot_be_seen, not_shown
+from campaigns.faults.invariants import INVARIANTS, violations
+from campaigns.faults.night_record import NightRecord
 from campaigns.faults.nights import (
     NIGHTS_PER_MACHINE,
     NightMachine,
@@ -145,12 +138,12 @@ def summarise(records: Sequence[NightRecord]) -> dict[str, Any]:
     violated = Counter(name for night in records for name in violations(night))
     reached = sum(night.reached for night in records)
     resumed = sum(night.later is not None for night in records)
-    not_shown = sum(is_not_shown(night.last) for night in records)
+    excused = {name: sum(excuse(night.last) for night in records) for name, excuse in EXCUSES.items()}
     return {
         "passed": bool(records)
         and not violated
         and reached >= REACHED_SHARE * len(records)
-        and not_shown <= 1 + NOT_SHOWN_SHARE * resumed,
+        and excused[not_shown.__name__] <= 1 + NOT_SHOWN_SHARE * resumed,
         "nights": len(records),
         "by_group": dict(sorted(Counter(night.group for night in records).items())),
         "by_kind": dict(sorted(Counter(night.kind for night in records).items())),
@@ -163,12 +156,8 @@ def summarise(records: Sequence[NightRecord]) -> dict[str, Any]:
         "resumption_refused": sum(bool(night.last.resume_refused) for night in records),
         "accepted": sum(night.last.accepted for night in records),
         "left_to_the_morning": sum(night.active != night.former and not night.accepted for night in records),
-        "left_to_a_person": sum(left_to_a_person(night.last) for night in records),
+        **excused,
         "cannot_be_seen": dict(Counter(night.last.unseen for night in records if cannot_be_seen(night.last))),
-        "misled_by_a_thermometer": sum(is_misled(night.last) for night in records),
-        "not_shown": not_shown,
-        "altered_but_better": sum(altered_but_better(night.last) for night in records),
-        "struck_a_displaced_ball": sum(bool(night.last.struck) for night in records),
         "violations": {name: violated[name] for name in INVARIANTS},
     }
 

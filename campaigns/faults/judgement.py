@@ -22,11 +22,12 @@ from agent.runs.resume.abandon import abandon
 from agent.runs.session import RunResult
 from agent.thermal.readings import ARTEFACT
 from campaigns.aborts.case import FORMER_BANK, FORMER_TABLE
+from campaigns.faults.excuses import NOT_SHOWN
 from campaigns.faults.fault_injector import RETURN_PREFIX, FaultInjector
 from campaigns.faults.fault_kinds import KINDS, WIRE
 from campaigns.faults.fault_scene import FaultScene
 from campaigns.faults.faulty_device import DEVICE, HangDetectedError
-from campaigns.faults.night_record import NOT_SHOWN, NightRecord
+from campaigns.faults.night_record import NightRecord
 from campaigns.faults.planned_night import PlannedNight
 from drivers.clock import VirtualClock
 from drivers.errors import VolcalError

@@ -5,7 +5,7 @@ from __future__ import annotations
 from campaign_command import run_campaign
 
 from campaigns.crash_points import process_kills
-from campaigns.faults.night_record import INVARIANTS
+from campaigns.faults.invariants import INVARIANTS
 from campaigns.sum import form_of
 
 

@@ -64,7 +64,11 @@ def test_wrong_input_is_refused_in_one_line():
         ((*slot, *budget, "--grid-deg", "40"), 2, ("40° does not divide 90°", "--grid-deg")),
         ((*slot, *budget, "--screening-grid-deg", "0"), 2, ("0° does not divide 90°", "--screening-grid-deg")),
         ((*slot, *budget, "--grid-deg", "1e-6"), 2, ("1e-06° is less than 2.5°", "--grid-deg")),
-        ((*slot, *budget, "--ball-places", "0,5,300", "--theta-deg", "0"), 2, ("less than their diameter", "25 mm", "--ball-places")),
+        (
+            (*slot, *budget, "--ball-places", "0,5,300", "--theta-deg", "0"),
+            2,
+            ("less than their diameter", "25 mm", "--ball-places"),
+        ),
         ((*slot, *budget, "--out", "costs.toml"), 2, ("a directory is needed", "costs.toml")),
         ((*slot, "--budget", "inf"), 2, ("finite",)),
         (slot, 2, ("--budget",)),

@@ -10,7 +10,8 @@ from campaign_command import run_campaign
 
 from campaigns.faults.__main__ import summarise
 from campaigns.faults.fault_kinds import KINDS
-from campaigns.faults.night_record import INVARIANTS, NightRecord, violations
+from campaigns.faults.invariants import INVARIANTS, violations
+from campaigns.faults.night_record import NightRecord
 from campaigns.faults.planned_night import LINKS, plan_night
 from campaigns.sum import form_of
 from campaigns.sum_rules import NotSummableError

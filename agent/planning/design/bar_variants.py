@@ -25,8 +25,9 @@ class Bar:
 
     `certified` is the artefact with the calibrated ball centres. `length_mm` is the distance between the two end balls
     along the bar. `spacing` is the rule of the places of its balls, or None if they follow none; then `along_mm`
-    (balls,) are their calibrated places in mm, otherwise those of the rule. `tilt_deg` is the angle in degrees by which the ball holders are tilted. `turn`, shape (3, 3), is the
-    rotation about the bar axis from holders along -Y, as in `bar_balls`, to those of this bar.
+    (balls,) are their calibrated places in mm, otherwise those of the rule. `tilt_deg` is the angle in degrees by which
+    the ball holders are tilted. `turn`, shape (3, 3), is the rotation about the bar axis from holders along -Y, as in
+    `bar_balls`, to those of this bar.
     """
 
     certified: Artefact
@@ -107,8 +108,8 @@ class Bar:
             return self.along_mm
         if self.spacing is None:
             raise DataError(
-                f"the balls of '{self.certified.name}' are spaced by no rule that is known, so a bar like it with {balls} "
-                "balls is not determined",
+                f"the balls of '{self.certified.name}' are spaced by no rule that is known, so a bar like it with "
+                f"{balls} balls is not determined",
                 hint="use a bar with equal gaps, such as config/artefacts/ball-bar-1500.toml",
             )
         return spaced_balls(balls, self.length_mm, self.spacing)
@@ -126,8 +127,8 @@ def _spacing(along_mm: Array, length_mm: float) -> tuple[BallSpacing | None, Arr
 
 
 def _drawn(artefact: Artefact, along_mm: Array, quarter: int) -> tuple[float, float, Array]:
-    """Compare `artefact` with a drawn bar whose balls are at `along_mm` (balls,) along it and whose holders are turned by
-    `quarter` times -90° about the bar axis.
+    """Compare `artefact` with a drawn bar whose balls are at `along_mm` (balls,) along it and whose holders are turned
+    by `quarter` times -90° about the bar axis.
 
     Return the largest deviation of a ball coordinate in mm, the tilt of the holders in degrees, and the rotation.
     """

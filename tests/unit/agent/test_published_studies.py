@@ -168,7 +168,9 @@ class TestBar:
         bar = Bar.of(Bar.of(shipped_job().artefact).with_(along_mm=along_mm))
         assert bar.spacing is None
         assert bar.with_(tilt_deg=30.0).balls[:, 0] == pytest.approx(along_mm)
-        with pytest.raises(DataError, match="by no rule that is known, so a bar like it with 4 balls is not determined"):
+        with pytest.raises(
+            DataError, match="by no rule that is known, so a bar like it with 4 balls is not determined"
+        ):
             bar.with_(balls=4)
 
     def test_a_bar_with_the_origin_elsewhere_is_refused(self) -> None:
