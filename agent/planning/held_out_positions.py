@@ -16,7 +16,6 @@ from drivers.errors import ConfigurationError
 from twin.artefact.position_set import Position
 from twin.design.candidates import build_candidates, orientation_grid
 from twin.design.held_out import least_known_positions
-from twin.errors import DataError
 from twin.machine.volumetric import evaluation_grid
 
 _GRID = (5, 4, 4)  # the field is needed only to tell the unknowns of the machine from those of the artefact
@@ -37,11 +36,9 @@ def listed_positions(settings: Settings, stations: Sequence[int]) -> tuple[Posit
 
 def held_out_grid(settings: Settings) -> tuple[tuple[float, float], ...]:
     """Return the orientations (azimuth, elevation) in degrees that may be held out. Raises ConfigurationError if 90° is
-    not a multiple of `verification.grid_deg`."""
-    try:
+    not a multiple of `verification.grid_deg`, or if this is too small."""
+    with translated(ConfigurationError, key="verification.grid_deg"):
         return orientation_grid(settings.verification.grid_deg)
-    except DataError as error:
-        raise ConfigurationError(error.message, hint=error.hint, key="verification.grid_deg") from error
 
 
 def held_out_positions(job: Job, positions: Sequence[Position]) -> tuple[Position, ...]:

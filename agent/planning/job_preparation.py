@@ -34,6 +34,7 @@ from twin.collision.geometry import point
 from twin.collision.locating_balls import depth_in_table_mm, locating_balls
 from twin.collision.measuring_layout import MeasuringLayout
 from twin.collision.probe_frame import ProbeFrame
+from twin.design.candidates import orientation_grid
 from twin.errors import TwinError
 from twin.machine.kinematic_chain import AXES
 from twin.machine.machine_description import MachineDescription
@@ -81,6 +82,7 @@ def prepare_job(settings: Settings, base: Path, artefact: Artefact | None = None
         gate_limits=settings.gates,
     )
     _refuse_unknown_radius(job)
+    _refuse_grid_of_nights(settings)
     _refuse_low_mount(job)
     _refuse_unsafe_placement(job)
     _refuse_nothing_reachable(job)
@@ -143,6 +145,12 @@ def _refuse_unknown_radius(job: Job) -> None:
             key="procedure.touches_per_ball",
             hint="set qualification.enabled = true, or touch each ball five times",
         )
+
+
+def _refuse_grid_of_nights(settings: Settings) -> None:
+    """The positions of nights and verifications are chosen on this grid, long after the settings were accepted."""
+    with translated(ConfigurationError, key="nightly.grid_deg"):
+        orientation_grid(settings.nightly.grid_deg)
 
 
 def _held_out_choice(job: Job) -> HeldOutChoice:

@@ -135,7 +135,7 @@ def test_people_are_shown_what_a_machine_reads():
         (("--positions", "1"), ["cannot separate machine errors from artefact errors"]),
         (("--slot", "0.05h", *COARSE), ["3 min are too short", "shortest two take", "min"]),
         (("--target-vce", "0.2", *COARSE), ["0.20 µm cannot be reached", "µm remain"]),
-        (("--positions", "4", "--grid-deg", "7"), ["7° does not divide 90°"]),
+        (("--positions", "4", "--grid-deg", "7"), ["7° does not divide 90°", "--grid-deg"]),
         (("--positions", "4", "--out", "set.txt"), ["written as CSV", "set.csv"]),
         (("--positions", "4", "--tool", "hammer"), ["no tool 'hammer'", "probe"]),
         (("--positions", "4", "--touches", "6"), ["no pattern of 6 touches", "--touches"]),

@@ -107,14 +107,12 @@ def orientation_grid(step_deg: float) -> tuple[tuple[float, float], ...]:
         raise DataError(
             f"the grid step {step_deg:g}° is less than {SMALLEST_STEP_DEG:g}°",
             hint="the number of orientations grows with the square of its inverse; choose for example 5, 10, 15 or 30",
-            key="grid",
         )
     steps = 90.0 / step_deg if step_deg > 0.0 else 0.0
     if not (steps >= 1.0 and abs(steps - round(steps)) < 1e-9):
         raise DataError(
             f"the grid step {step_deg:g}° does not divide 90°",
             hint="choose for example 10, 15, 22.5, 30 or 45",
-            key="grid",
         )
     count = round(steps)
     # -180° is left out, because it is the same as 180°

@@ -46,6 +46,7 @@ if will_run():
     from drivers.errors import InputError, UserError
     from twin.arrays import Array
     from twin.artefact.position_set import Position
+    from twin.design.candidates import orientation_grid
     from twin.design.goals import Goal, PositionCountGoal, TargetErrorGoal, TimeSlotGoal
 
 _SLOT = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(min|h)?\s*")
@@ -135,6 +136,8 @@ def design_command(
         raise no_settings_file()
     started = wall_seconds()
     goal = _goal(slot, positions, target_vce)
+    with translated(InputError, key="--grid-deg"):
+        orientation_grid(grid_deg)
     check_target(out)
     stated = load_case(config, machine=machine, artefact=artefact, stations=stations)
     with naming(config):

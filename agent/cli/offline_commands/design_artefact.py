@@ -37,7 +37,6 @@ if will_run():
     from drivers.errors import InputError
     from twin.artefact.ball_spacing import BallSpacing, stated_places
     from twin.design.candidates import orientation_grid
-    from twin.errors import DataError
 
 _LENGTH_SHARES = (0.6, 0.8, 1.0, 1.2)
 _BALLS = (5, 6, 7, 9, 11)
@@ -165,10 +164,8 @@ def design_artefact_command(
             key="--ball-places",
         )
     for option, step_deg in (("--grid-deg", grid_deg), ("--screening-grid-deg", screening_grid_deg)):
-        try:
+        with translated(InputError, key=option):
             orientation_grid(step_deg)
-        except DataError as error:
-            raise InputError(error.message, hint=error.hint, key=option) from None
     check_folder(out)
     prices = load_costs(SHIPPED_COSTS if costs is None else costs)
     with naming(config):

@@ -171,4 +171,13 @@ def test_a_night_holds_out_listed_positions() -> None:
 def test_a_grid_that_does_not_divide_a_right_angle_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="does not divide 90") as caught:
         prepared(grid_deg=25.0)
-    assert "verification.grid_deg" in str(caught.value)
+    assert caught.value.where["key"] == "verification.grid_deg"
+
+
+@pytest.mark.parametrize(("step_deg", "says"), [(7.0, "does not divide 90"), (0.5, "is less than 2.5°")])
+def test_a_wrong_grid_of_nights_is_refused_before_a_night_chooses_on_it(step_deg: float, says: str) -> None:
+    settings = load_settings(CASE_STUDY)
+    nightly = settings.nightly.model_copy(update={"grid_deg": step_deg})
+    with pytest.raises(ConfigurationError, match=says) as caught:
+        prepare_job(settings.model_copy(update={"nightly": nightly}), CASE_STUDY.parent)
+    assert caught.value.where["key"] == "nightly.grid_deg"
