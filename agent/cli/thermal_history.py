@@ -211,6 +211,8 @@ def _show_now(found: MachineNow) -> None:
         f"estimate: {found.file}",
         markup=False,
     )
+    for one in found.extrapolated:
+        console.print(f"note: {one.text}", markup=False)
     if found.identification is not None and found.identification.material.night is not None:
         night = found.identification.material.night
         if not night.fits:

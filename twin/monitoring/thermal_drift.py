@@ -28,6 +28,13 @@ from twin.monitoring.seen_directions import SeenDirections, own_measurement
 from twin.monitoring.sensor_screening import ScreenedSensors, screen_sensors
 from twin.monitoring.thermal_regression import ThermalFit, explain_drift
 
+EXTRAPOLATED_SHARE = 0.2
+"""Distance from the temperatures of the nights, as a share of their range, beyond which a result is extrapolated.
+
+What the stated uncertainty leaves out is that an effect may bend. The departure of a parabola from its tangent in the
+middle of the range grows with the square of the distance from there. At this limit it is (0.7 / 0.5)² = 2 times that at
+the ends of the range, the largest one that the nights could show; farther out nothing bounds it."""
+
 
 @dataclass(frozen=True, eq=False)
 class FusedWith:
@@ -73,6 +80,20 @@ class ThermalDrift:
     def taken(self) -> tuple[str, ...]:
         """Names of the sensors that explain the drift."""
         return tuple(self.sensors[place] for place in self.fit.taken)
+
+    @property
+    def learned_c(self) -> tuple[Array, Array]:
+        """Lowest and highest temperature (s,) in °C of each usable sensor in the nights from which its effect was
+        learned."""
+        readings = self.fit.drift.temperatures_c
+        return readings.min(axis=0), readings.max(axis=0)
+
+    def extrapolated(self, temperatures_c: ArrayLike) -> tuple[int, ...]:
+        """Return the indices of the usable sensors whose temperature in °C, of `temperatures_c` (s,), lies farther
+        outside those of the nights than `EXTRAPOLATED_SHARE` of their range. A temperature that is NaN does not."""
+        given, (lowest, highest) = np.asarray(temperatures_c, dtype=np.float64), self.learned_c
+        outside = np.maximum(lowest - given, given - highest)
+        return tuple(np.flatnonzero(outside > EXTRAPOLATED_SHARE * (highest - lowest)).tolist())
 
     @property
     def coefficients(self) -> tuple[Array, Array]:

@@ -182,6 +182,25 @@ class TestNow:
         called(files, "now", "--at", files.at(6).isoformat(), "--out", out, *readings(files, 6))
         assert [path.name for path in out.iterdir()] == ["predicted.json"]
 
+    def test_a_temperature_that_the_nights_never_had_is_extrapolated(self, files: SeasonFiles) -> None:
+        out, given = files.folder / "now", {**files.temperatures_c(6), "ram": 31.0}
+        texts = [text for name, value in given.items() for text in ("--temperature", f"{name}={value}")]
+        options = ("--at", files.at(6).isoformat(), "--out", out, "--measured", files.write_balls(6), *texts)
+        [ram] = [one for one in called(files, "now", *options)["extrapolated"] if one["name"] == "ram"]
+        assert (ram["value_c"], ram["of_run"]) == (31.0, False)
+        assert (ram["lowest_c"], ram["highest_c"]) == pytest.approx((16.297, 19.724), abs=1e-3)
+        sentence = "the sensor ram shows 31.00 °C now, but its effect was learned at 16.30 to 19.72 °C"
+        for name in ("predicted.json", "estimate.json"):
+            assert sentence in json.loads((out / name).read_text(encoding="utf-8"))["provenance"]["extrapolated"]
+        assert f"note: {sentence}: the result is extrapolated" in call(files, "now", *options).stdout
+
+    def test_temperatures_like_those_of_the_nights_are_not_extrapolated(self, files: SeasonFiles) -> None:
+        out = files.folder / "now"
+        options = ("--at", files.at(0).isoformat(), "--out", out, *readings(files, 0))
+        assert called(files, "now", *options)["extrapolated"] == []
+        assert "extrapolated" not in json.loads((out / "predicted.json").read_text(encoding="utf-8"))["provenance"]
+        assert "extrapolated" not in call(files, "now", *options).stdout
+
     def test_the_folder_of_a_run_is_refused(self, files: SeasonFiles) -> None:
         run = files.folder / "state" / run_id(NIGHTS - 1)
         options = ("--at", files.at(6).isoformat(), "--out", run, *readings(files, 6))

@@ -251,6 +251,17 @@ class TestNights:
         assert mean[0] == pytest.approx(6.0, abs=3.0 * np.sqrt(covariance[0, 0]))
         assert mean == pytest.approx([6.0, 0.0], abs=0.4)
 
+    def test_farther_than_a_fifth_of_the_range_outside_is_extrapolated(self) -> None:
+        temperatures = weather(np.random.default_rng(11), NIGHTS, 2)
+        found = explain_thermal_drift(self.nights(temperatures), ("ram", "other"), 25.0 * np.eye(2))
+        lowest, highest = temperatures.min(axis=0), temperatures.max(axis=0)
+        assert found.learned_c == (pytest.approx(lowest), pytest.approx(highest))
+        width = highest - lowest
+        assert found.extrapolated(highest + 0.19 * width) == found.extrapolated(lowest - 0.19 * width) == ()
+        assert found.extrapolated(highest + [0.19, 0.21] * width) == (1,)
+        assert found.extrapolated(lowest - 0.21 * width) == (0, 1)
+        assert found.extrapolated([np.nan, highest[1]]) == ()
+
     def test_a_missing_temperature_of_an_explaining_sensor_is_refused(self) -> None:
         temperatures = weather(np.random.default_rng(11), NIGHTS, 2)
         found = explain_thermal_drift(self.nights(temperatures), ("ram", "other"), 25.0 * np.eye(2))
