@@ -169,6 +169,12 @@ def _show_drift(drift: SensorDrift) -> None:
     )
     if not drift.found.taken:
         console.print("no sensor explains the drift: none is used", markup=False)
+    if drift.history.inseparable:
+        console.print(
+            f"note: {drift.history.inseparable} nights are left out: each was fused with the night before, and the "
+            "estimate file of one of the two is gone, so that what it measured itself is not known",
+            markup=False,
+        )
 
 
 def _effects_table(drift: SensorDrift) -> Table:

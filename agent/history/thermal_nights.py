@@ -20,7 +20,6 @@ from agent.workpiece.estimate_and_table import ESTIMATE_NAME
 from drivers.errors import InputError
 from twin.arrays import Array
 from twin.formats.estimate_file import StoredEstimate, parse_estimate
-from twin.identification import DriftFactor
 from twin.machine.machine_description import MachineDescription
 from twin.monitoring.drift_evidence import MOST_SENSORS
 from twin.monitoring.thermal_drift import FusedWith, NightEstimate
@@ -36,7 +35,7 @@ class ThermalNights:
     `run_ids` and `started_s` (n,), in seconds since 1970, belong to `nights`. `reference` is the latest estimate that
     has a file, of the run `reference_run`, and `reference_place` its index among the nights. `expected` (p, p) is the
     covariance of the parameters of the machine's family, in mm and rad. `steps` are the days at which the machine was
-    found changed. `without_file` is the number of nights of which only the standard uncertainties are known.
+    found changed. `without_file` is the number of separable nights of which only the standard uncertainties are known.
     """
 
     machine: MachineDescription
@@ -52,6 +51,11 @@ class ThermalNights:
     expected: Array
     steps: tuple[float, ...]
     without_file: int
+
+    @property
+    def inseparable(self) -> int:
+        """Number of nights that were fused with an estimate whose file, or whose own file, is gone."""
+        return sum(not one.separable for one in self.nights)
 
 
 def recorded_sensors(runs: Sequence[StoredRun], settings: Settings, named: Sequence[str] = ()) -> tuple[str, ...]:
@@ -132,7 +136,7 @@ def thermal_nights(runs: Sequence[StoredRun], settings: Settings, sensors: Seque
         [run.run_id for run in alike].index(reference_run),
         np.diag(machine.family.prior_standard_deviation**2),
         tuple(days[run.run_id] for run in runs if run.night in CHANGED_MACHINE),
-        sum(run.run_id not in estimates for run in alike),
+        sum(run.run_id not in estimates and one.separable for run, one in zip(alike, nights, strict=True)),
     )
 
 
@@ -154,13 +158,18 @@ def _night(
     means = np.array([math.nan if one is None else one.mean for one in found])
     sigmas = np.array([math.nan if one is None else reading_uncertainty_k(one, sensor_sigma_k) for one in found])
     estimate = estimates.get(run.run_id)
+    was_fused = run.since is not None and run.night not in CHANGED_MACHINE
     if estimate is None:
         factors = np.array([1.0 / dict(MICRO_UNITS.values())[one.unit] for one in run.parameters])
         values, deviations = factors * run.parameter_arrays.values, factors * run.parameter_arrays.sigmas
-        return NightEstimate(day, values, np.diag(deviations**2), means, sigmas)
-    before = estimates.get(run.since) if run.since is not None and run.night not in CHANGED_MACHINE else None
+        # The correlations are gone, without which the prior cannot be taken out of a fused estimate.
+        return NightEstimate(day, values, np.diag(deviations**2), means, sigmas, separable=not was_fused)
+    # A full calibration whose table was taken back has the decision of a fused night, but was made from itself alone.
+    was_fused = was_fused and estimate.was_fused
+    before = estimates.get(str(run.since)) if was_fused else None
     fused = None if before is None else _fused_with(before, estimate, walk, run.nights or 1.0)
-    return NightEstimate(day, estimate.parameters, estimate.covariance, means, sigmas, fused)
+    separable = fused is not None or not was_fused
+    return NightEstimate(day, estimate.parameters, estimate.covariance, means, sigmas, fused, separable)
 
 
 def _fused_with(before: StoredEstimate, estimate: StoredEstimate, walk: Array, nights: float) -> FusedWith | None:
@@ -168,8 +177,7 @@ def _fused_with(before: StoredEstimate, estimate: StoredEstimate, walk: Array, n
     None if the models differ, which fusing excludes."""
     if before.model.names != estimate.model.names:
         return None
-    factor = DriftFactor(**estimate.document.carried_over.drift_factor.model_dump())
-    aged = replace(before.carried_over(), drift_factor=factor).after(walk, nights)
+    aged = replace(before.carried_over(), drift_factor=estimate.drift_factor).after(walk, nights)
     own, unknowns = aged.unknowns.blocks.parameters, aged.unknowns
     return FusedWith(unknowns.parameters(aged.mean), unknowns.physical_covariance(aged.covariance[own, own]))
 

@@ -109,6 +109,37 @@ class TestThermal:
         change_database(files, "DELETE FROM volcal_temperatures WHERE sensor = 'ram' AND run_id = ?", run_id(4))
         assert called(files, "thermal")["nights"] == NIGHTS - 1
 
+    def test_a_night_whose_former_estimate_is_gone_does_not_count_it_again(self, files: SeasonFiles) -> None:
+        (files.folder / "state" / run_id(10) / "estimate.json").unlink()
+        found = called(files, "thermal")
+        assert found["nights"] == NIGHTS - 2  # it, and the night that was fused with it
+        assert found["nights_without_former_estimate"] == 2
+        assert (found["nights_without_temperatures"], found["nights_without_file"]) == (0, 0)
+        assert "note: 2 nights are left out: each was fused with the night before" in call(files, "thermal").stdout
+
+    def test_a_calibration_in_full_whose_table_was_taken_back_needs_no_former_estimate(
+        self, files: SeasonFiles
+    ) -> None:
+        state = files.folder / "state"
+        shutil.copy(state / run_id(0) / "estimate.json", state / run_id(12) / "estimate.json")
+        (state / run_id(11) / "estimate.json").unlink()
+        change = "UPDATE volcal_runs SET night = 'former table restored' WHERE run_id = ?"
+        change_database(files, change, run_id(12))
+        assert called(files, "thermal")["nights_without_former_estimate"] == 1
+
+    def test_a_calibration_without_file_counts_with_its_uncertainties(self, files: SeasonFiles) -> None:
+        (files.folder / "state" / run_id(0) / "estimate.json").unlink()
+        found = called(files, "thermal")
+        assert (found["nights"], found["nights_without_file"]) == (NIGHTS - 1, 1)
+        assert found["nights_without_former_estimate"] == 1
+
+    def test_too_few_nights_whose_own_measurement_is_known_are_refused(self, files: SeasonFiles) -> None:
+        for night in range(7, NIGHTS - 1):
+            (files.folder / "state" / run_id(night) / "estimate.json").unlink()
+        message = refused(call(files, "thermal"))
+        assert "7 nights with an estimate are too few" in message
+        assert "17 more were fused with an estimate whose file is gone" in message
+
 
 class TestNow:
     def test_temperatures_and_positions_bring_the_estimate_nearer_to_the_truth(self, files: SeasonFiles) -> None:
@@ -138,6 +169,11 @@ class TestNow:
         after = json.loads((out / "predicted.json").read_text())
         first, second = (np.array([one["value"] for one in each["parameters"]]) for each in (before, after))
         assert np.abs(second - first).max() < 3e-6  # mm: readings are rounded to 1 mK
+
+    def test_the_last_estimate_is_moved_even_if_nothing_is_learned_from_it(self, files: SeasonFiles) -> None:
+        (files.folder / "state" / run_id(NIGHTS - 2) / "estimate.json").unlink()
+        options = ("--at", files.at(6).isoformat(), "--out", files.folder / "now", *readings(files, 6))
+        assert called(files, "now", *options)["run"] == run_id(NIGHTS - 1)
 
     def test_a_missing_temperature_is_named(self, files: SeasonFiles) -> None:
         message = refused(call(files, "now", "--at", files.at(6).isoformat(), "--out", files.folder / "now"))
