@@ -96,6 +96,22 @@ class TestThermal:
         assert "'spindle'" in message
         assert "recorded sensors: air, artefact, bed, column, ram" in message
 
+    @pytest.mark.parametrize(
+        ("stated", "expected"),
+        [
+            ('["ram", "air", "ram"]', "the sensor 'ram' is named twice"),
+            ('["ram", "artefact"]', "the sensor 'artefact' is one of temperature.artefact_sensors"),
+        ],
+    )
+    def test_sensors_that_cannot_explain_a_drift_are_no_settings(
+        self, files: SeasonFiles, stated: str, expected: str
+    ) -> None:
+        with files.settings.open("a", encoding="utf-8") as file:
+            file.write(f"[temperature]\ndrift_sensors = {stated}\n")
+        message = refused(call(files, "thermal"))
+        assert expected in message
+        assert f"file {files.settings}, key temperature.drift_sensors" in message
+
     def test_without_any_sensor_it_says_so(self, files: SeasonFiles) -> None:
         change_database(files, "DELETE FROM volcal_temperatures WHERE sensor <> 'artefact'")
         assert "no run has recorded a temperature sensor of the machine" in refused(call(files, "thermal"))
