@@ -59,11 +59,13 @@ class ThermalNights:
 
 
 def recorded_sensors(runs: Sequence[StoredRun], settings: Settings, named: Sequence[str] = ()) -> tuple[str, ...]:
-    """Return the names of the sensors that may explain the drift: `named`, or those of the settings, or all that most
-    runs recorded except those of the artefact.
+    """Return the names of the sensors that may explain the drift: `named` by the option `--sensor`, or those of the
+    settings, or all that most runs recorded except those of the artefact.
 
-    Raises InputError if there is none, if there are too many, or if no run has recorded one of them.
+    Raises InputError if there is none, if there are too many, if one is named twice or is one of the artefact, or if no
+    run has recorded one of them. It names the option or the settings key that stated the sensors.
     """
+    place = {"option": "--sensor"} if named else {"key": "temperature.drift_sensors"}
     stated = tuple(named or settings.temperature.drift_sensors)
     counts: dict[str, int] = {}
     with_estimate = [run for run in runs if run.parameters]
@@ -71,30 +73,39 @@ def recorded_sensors(runs: Sequence[StoredRun], settings: Settings, named: Seque
         for one in run.temperatures:
             counts[one.sensor] = counts.get(one.sensor, 0) + 1
     known = ", ".join(sorted(counts)) or "none"
+    of_artefact = settings.temperature.artefact_sensors
     if not stated:
-        of_artefact = settings.temperature.artefact_sensors
         often = _LEAST_RECORDED * len(with_estimate)
         stated = tuple(name for name in sorted(counts) if name not in of_artefact and counts[name] >= often)
     if not stated:
         raise InputError(
             "no run has recorded a temperature sensor of the machine",
             hint="name the sensors in the settings of the driver; recorded: " + known,
-            key="temperature.drift_sensors",
+            **place,
         )
     for name in stated:
+        if stated.count(name) > 1:
+            raise InputError(f"the sensor {name!r} is named twice", **place)
+        if name in of_artefact:
+            raise InputError(
+                f"the sensor {name!r} is one of temperature.artefact_sensors: the temperature of the artefact does not "
+                "explain a drift of the machine",
+                hint=f"recorded sensors: {known}",
+                **place,
+            )
         if name not in counts:
             raise InputError(
                 f"no run with an estimate has recorded the sensor {name!r}",
                 hint=f"recorded sensors: {known}",
-                key="temperature.drift_sensors",
+                **place,
             )
-    if len(set(stated)) > MOST_SENSORS:
+    if len(stated) > MOST_SENSORS:
         raise InputError(
-            f"{len(set(stated))} sensors ({', '.join(stated)}) are too many, at most {MOST_SENSORS} explain a drift",
-            hint="choose with --sensor",
-            key="temperature.drift_sensors",
+            f"{len(stated)} sensors ({', '.join(stated)}) are too many, at most {MOST_SENSORS} explain a drift",
+            hint=f"choose {MOST_SENSORS}",
+            **place,
         )
-    return tuple(dict.fromkeys(stated))
+    return stated
 
 
 def thermal_nights(runs: Sequence[StoredRun], settings: Settings, sensors: Sequence[str]) -> ThermalNights:

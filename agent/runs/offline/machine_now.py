@@ -157,7 +157,9 @@ def machine_now(drift: SensorDrift, settings: Settings, request: NowRequest) -> 
         )
     unknown = sorted(set(request.temperatures_c) - set(history.sensors))
     if unknown:
-        raise InputError(f"unknown sensor {unknown[0]!r}", hint=f"sensors: {', '.join(history.sensors)}")
+        raise InputError(
+            f"unknown sensor {unknown[0]!r}", hint=f"sensors: {', '.join(history.sensors)}", option="--temperature"
+        )
     to_c = np.array([request.temperatures_c.get(name, np.nan) for name in found.sensors])
     places = [history.sensors.index(name) for name in found.sensors]
     from_c = found.screened.readings_c[history.reference_place, places]
@@ -169,7 +171,7 @@ def machine_now(drift: SensorDrift, settings: Settings, request: NowRequest) -> 
                 run=history.reference_run,
             )
     sigmas = np.hypot(last.uncertainties_k[places], settings.temperature.drift_sensor_uncertainty_k)
-    with translated(InputError):
+    with translated(InputError, option="--temperature"):
         change, covariance = found.change(from_c, to_c, days, sigmas)
     known = history.reference.carried_over()
     moved = after_change(known, change, covariance)

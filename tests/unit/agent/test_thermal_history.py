@@ -93,7 +93,7 @@ class TestThermal:
 
     def test_a_sensor_that_nobody_recorded_is_refused(self, files: SeasonFiles) -> None:
         message = refused(call(files, "thermal", "--sensor", "spindle"))
-        assert "'spindle'" in message
+        assert "'spindle' (option --sensor). " in message
         assert "recorded sensors: air, artefact, bed, column, ram" in message
 
     @pytest.mark.parametrize(
@@ -111,6 +111,43 @@ class TestThermal:
         message = refused(call(files, "thermal"))
         assert expected in message
         assert f"file {files.settings}, key temperature.drift_sensors" in message
+
+    @pytest.mark.parametrize(
+        ("names", "expected"),
+        [
+            (["ram", "air", "ram"], "the sensor 'ram' is named twice"),
+            (["ram", "artefact"], "does not explain a drift of the machine"),
+            (["air", "bed", "column", "ram", "spindle"], "has recorded the sensor 'spindle'"),
+        ],
+    )
+    def test_sensors_of_the_option_that_cannot_be_used_name_the_option(
+        self, files: SeasonFiles, names: list[str], expected: str
+    ) -> None:
+        message = refused(call(files, "thermal", *(text for name in names for text in ("--sensor", name))))
+        assert f"{expected} (option --sensor)" in message
+
+    def test_a_sensor_of_the_settings_that_nobody_recorded_names_the_key(self, files: SeasonFiles) -> None:
+        with files.settings.open("a", encoding="utf-8") as file:
+            file.write('[temperature]\ndrift_sensors = ["spindle"]\n')
+        message = refused(call(files, "thermal"))
+        assert f"'spindle' (key temperature.drift_sensors, file {files.settings})" in message
+
+    def test_more_recorded_sensors_than_can_be_used_name_the_key(self, files: SeasonFiles) -> None:
+        change_database(
+            files,
+            "INSERT INTO volcal_temperatures (machine, run_id, sensor, lowest, mean, highest) "
+            "SELECT machine, run_id, 'head', lowest, mean, highest FROM volcal_temperatures WHERE sensor = 'ram'",
+        )
+        message = refused(call(files, "thermal"))
+        assert "5 sensors (air, bed, column, head, ram) are too many" in message
+        assert "(key temperature.drift_sensors, " in message
+        assert "(option --sensor)" in refused(
+            call(
+                files,
+                "thermal",
+                *[text for name in ("air", "bed", "column", "head", "ram") for text in ("--sensor", name)],
+            )
+        )
 
     def test_without_any_sensor_it_says_so(self, files: SeasonFiles) -> None:
         change_database(files, "DELETE FROM volcal_temperatures WHERE sensor <> 'artefact'")
@@ -193,7 +230,10 @@ class TestNow:
 
     def test_a_missing_temperature_is_named(self, files: SeasonFiles) -> None:
         message = refused(call(files, "now", "--at", files.at(6).isoformat(), "--out", files.folder / "now"))
-        assert "the temperature of the sensor" in message
+        assert (
+            "the temperature of the sensor ram, which explains the drift, is not known (option --temperature)"
+            in message
+        )
 
     def test_an_old_estimate_predicts_nothing(self, files: SeasonFiles) -> None:
         options = ("--at", files.at(24 * 9).isoformat(), "--out", files.folder / "now")
@@ -269,4 +309,4 @@ class TestNow:
 
     def test_an_unknown_sensor_is_refused(self, files: SeasonFiles) -> None:
         options = ("--at", files.at(6).isoformat(), "--out", files.folder / "now", "--temperature", "spindle=30")
-        assert "'spindle'" in refused(call(files, "now", *options))
+        assert "unknown sensor 'spindle' (option --temperature)" in refused(call(files, "now", *options))
