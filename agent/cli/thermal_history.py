@@ -13,7 +13,7 @@ import click
 
 from agent.cli.errors import reported
 from agent.cli.invocation import will_run
-from agent.cli.options import PATH, config_option
+from agent.cli.options import FIGURE, PATH, config_option
 
 if will_run():
     from rich.table import Table
@@ -71,7 +71,12 @@ def _moment(_context: click.Context, _option: click.Parameter, text: str | None)
 @click.command("thermal")
 @config_option
 @_sensor
-@click.option("--figure", type=PATH, metavar="FILE.png", help="Draw drift, temperatures and effects into this file.")
+@click.option(
+    "--figure",
+    type=FIGURE,
+    metavar="FILE",
+    help="Draw drift, temperatures and effects into this file: .png, .svg, .pdf.",
+)
 @_json
 @reported
 def thermal_command(config: Path, sensors: tuple[str, ...], figure: Path | None, as_json_object: bool) -> None:
@@ -84,9 +89,10 @@ def thermal_command(config: Path, sensors: tuple[str, ...], figure: Path | None,
     with opened_history(config) as (settings, store):
         found = sensor_drift(store.runs(store.address.machine), settings, sensors)
     if figure is not None:
-        from agent.history.thermal_figure import thermal_png  # noqa: PLC0415  drawing libraries are slow to import
+        from agent.history.thermal_figure import draw_thermal  # noqa: PLC0415  drawing libraries are slow to import
 
-        write_all_atomically(figure.parent, {figure.name: thermal_png(found, f"machine {found.history.machine.name}")})
+        drawn = draw_thermal(found, f"machine {found.history.machine.name}")
+        write_all_atomically(figure.parent, {figure.name: drawn.in_format_of(figure)})
     if as_json_object:
         click.echo(json.dumps(found.as_json(), allow_nan=False))
     else:

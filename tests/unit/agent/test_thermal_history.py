@@ -69,6 +69,11 @@ class TestThermal:
         assert found["left_out_nights"]["with_sensors_um"] < found["left_out_nights"]["without_sensors_um"]
         assert (files.folder / "thermal.png").read_bytes().startswith(b"\x89PNG")
 
+    @pytest.mark.parametrize(("name", "begin"), [("drift.pdf", b"%PDF-"), ("drift.svg", b"<?xml")])
+    def test_the_figure_has_the_format_of_its_ending(self, files: SeasonFiles, name: str, begin: bytes) -> None:
+        called(files, "thermal", "--figure", files.folder / name)
+        assert (files.folder / name).read_bytes().startswith(begin)
+
     def test_the_effect_of_the_ram_is_the_true_one(self, files: SeasonFiles) -> None:
         """The generator lets the scale of Y grow with the ram; a Legendre slope is half the change over the travel."""
         [(_, over_travel_mm, _, _)] = [one for one in files.season.thermal.effects if one[0] == "EYY"]
