@@ -21,6 +21,7 @@ if will_run():
     from agent.cli.opened_history import opened_history
     from agent.cli.printing import columns_table, results_console
     from agent.files import write_all_atomically
+    from agent.settings.load import naming
     from drivers.clock import utc_timestamp
 
 if TYPE_CHECKING:
@@ -108,7 +109,8 @@ def thermal_command(config: Path, sensors: tuple[str, ...], figure: Path | None,
     multiple=True,
     metavar="NAME=°C",
     callback=_readings,
-    help="Temperature of a sensor now; needed of each sensor that explains the drift.",
+    help="Temperature of a sensor now; needed of each sensor that explains the drift [default: read from the "
+    "thermometer, unless --at is given].",
 )
 @click.option(
     "--at",
@@ -131,15 +133,22 @@ def now_command(
 ) -> None:
     """Estimate the machine now: last estimate, temperatures, and positions.
 
-    Writes predicted.json, and with positions estimate.json, which are estimates like that of a run.
+    Writes predicted.json, and with positions estimate.json, which are estimates like that of a run. Without
+    --temperature, the thermometer is read; nothing moves, and nothing is written to the machine.
     """
     from agent.history.sensor_drift import sensor_drift  # noqa: PLC0415  mathematics that the list of runs needs not
     from agent.runs.offline.machine_now import NowRequest, machine_now  # noqa: PLC0415
 
+    read_from = None
     moment = datetime.fromisoformat(utc_timestamp()) if at is None else at
     with opened_history(config) as (settings, store):
         drift = sensor_drift(store.runs(store.address.machine), settings, sensors)
-    found = machine_now(drift, settings, NowRequest(temperatures, moment, out, balls))
+    if drift.found.taken and not temperatures and at is None:
+        from agent.runs.offline.thermometer_now import temperatures_now  # noqa: PLC0415  drivers, which others need not
+
+        with naming(config):
+            temperatures, read_from = temperatures_now(settings, config.resolve().parent), settings.roles.thermometer
+    found = machine_now(drift, settings, NowRequest(temperatures, moment, out, balls, read_from))
     if as_json_object:
         click.echo(json.dumps(found.as_json(), allow_nan=False))
     else:
@@ -204,6 +213,10 @@ def _show_now(found: MachineNow) -> None:
         f"sensors: {sensors}",
         markup=False,
     )
+    if found.temperatures_c:
+        readings = ", ".join(f"{name} {value:.2f} °C" for name, value in found.temperatures_c.items())
+        source = "as stated" if found.read_from is None else f"read from the device {found.read_from}"
+        console.print(f"temperatures ({source}): {readings}", markup=False)
     shown = columns_table(("state", "VE, µm", "VCE, µm"), whole=("state",), numbers=("VE, µm", "VCE, µm"))
     rows: list[tuple[str, ExpectedErrors | None]] = [
         ("last estimate", found.then),

@@ -42,12 +42,14 @@ LONGEST_DAYS = 7.0
 @dataclass(frozen=True)
 class NowRequest:
     """Combined estimate that is asked for: the temperatures in °C by sensor `at` a UTC time, the folder `out` of its
-    files, and the file of positions measured about then, None without one."""
+    files, and the file of positions measured about then, None without one. `read_from` is the device from which the
+    temperatures were read, also of sensors that are not used; None if they were stated."""
 
     temperatures_c: Mapping[str, float]
     at: datetime
     out: Path
     balls: Path | None = None
+    read_from: str | None = None
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,8 @@ class MachineNow:
     `moved_um` is the rms change of the error field that the temperatures explain, and `doubt_um` the rms uncertainty
     that change and time have added. `largest` are the parameters that are predicted to change most: name, change and
     standard uncertainty of the change in `unit`. `extrapolated` are the sensors whose temperatures lie outside those at
-    which their effects were learned.
+    which their effects were learned. `temperatures_c` are those now that were used, and `read_from` the device that
+    gave them; None if they were stated.
     """
 
     machine: str
@@ -106,7 +109,9 @@ class MachineNow:
     largest: tuple[tuple[str, float, float, str], ...]
     file: Path
     identification: IdentificationResult | None
-    extrapolated: tuple[ExtrapolatedSensor, ...] = ()
+    extrapolated: tuple[ExtrapolatedSensor, ...]
+    temperatures_c: Mapping[str, float]
+    read_from: str | None
 
     def as_json(self) -> dict[str, Any]:
         """Return the result as a mapping to be written as JSON (docs/reference/json.md)."""
@@ -117,6 +122,8 @@ class MachineNow:
             "age_days": self.age_days,
             "sensors": list(self.sensors),
             "temperature_changes_k": dict(self.temperature_changes_k),
+            "temperatures_c": dict(self.temperatures_c),
+            "temperatures_from": self.read_from,
             "then": vars(self.then),
             "predicted": vars(self.predicted),
             "measured": None if self.measured is None else vars(self.measured),
@@ -156,7 +163,7 @@ def machine_now(drift: SensorDrift, settings: Settings, request: NowRequest) -> 
             run=history.reference_run,
         )
     unknown = sorted(set(request.temperatures_c) - set(history.sensors))
-    if unknown:
+    if unknown and request.read_from is None:
         raise InputError(
             f"unknown sensor {unknown[0]!r}", hint=f"sensors: {', '.join(history.sensors)}", option="--temperature"
         )
@@ -171,7 +178,9 @@ def machine_now(drift: SensorDrift, settings: Settings, request: NowRequest) -> 
                 run=history.reference_run,
             )
     sigmas = np.hypot(last.uncertainties_k[places], settings.temperature.drift_sensor_uncertainty_k)
-    with translated(InputError, option="--temperature"):
+    # Of a thermometer, the device is the place of a missing reading.
+    place = {"option": "--temperature"} if request.read_from is None else {"device": request.read_from}
+    with translated(InputError, **place):
         change, covariance = found.change(from_c, to_c, days, sigmas)
     known = history.reference.carried_over()
     moved = after_change(known, change, covariance)
@@ -195,6 +204,8 @@ def machine_now(drift: SensorDrift, settings: Settings, request: NowRequest) -> 
         request.out / (PREDICTED_NAME if identification is None else ESTIMATE_NAME),
         identification,
         extrapolated,
+        {name: float(to_c[at]) for at, name in enumerate(found.sensors) if np.isfinite(to_c[at])},
+        request.read_from,
     )
 
 

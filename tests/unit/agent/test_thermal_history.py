@@ -6,12 +6,16 @@ import json
 import shutil
 import sqlite3
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
+from agent.cli import thermal_history
 from agent.cli.history import history_group
+from agent.execution.run_lock import run_lock
+from agent.runs.offline import thermometer_now
 from campaigns.foreign.score import true_error_um
 from campaigns.sensors.season_files import SeasonFiles, run_id, write_season
 from twin.formats.estimate_file import parse_estimate
@@ -58,6 +62,26 @@ def change_database(files: SeasonFiles, statement: str, *values: str) -> None:
     with sqlite3.connect(database) as connection:
         connection.execute(statement, values)
     connection.close()
+
+
+class LookedAtThermometer:
+    """Thermometer that only opens to look."""
+
+    def __init__(self, readings: dict[str, float], reason: str = "") -> None:
+        self.readings, self.reason, self.log = readings, reason, list[str]()
+
+    def why_no_look(self) -> str:
+        return self.reason
+
+    def open_to_look(self, *, tables: bool = False) -> None:
+        self.log.append("tables" if tables else "look")
+
+    def close(self) -> None:
+        self.log.append("close")
+
+    def temperatures_c(self) -> dict[str, float]:
+        assert self.log == ["look"]
+        return self.readings
 
 
 class TestThermal:
@@ -227,6 +251,55 @@ class TestNow:
         after = json.loads((out / "predicted.json").read_text())
         first, second = (np.array([one["value"] for one in each["parameters"]]) for each in (before, after))
         assert np.abs(second - first).max() < 3e-6  # mm: readings are rounded to 1 mK
+
+    def test_without_temperatures_the_thermometer_is_read(
+        self, files: SeasonFiles, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        device = LookedAtThermometer({**files.temperatures_c(6), "spindle": 30.0, "broken": float("nan")})
+        monkeypatch.setattr(thermometer_now, "create_device", lambda *_: device)
+        monkeypatch.setattr(thermal_history, "utc_timestamp", lambda: files.at(6).isoformat())
+        options = ("--out", files.folder / "now")
+        found = called(files, "now", *options)
+        assert device.log == ["look", "close"]
+        assert found["temperatures_from"] == "twin"
+        assert found["temperatures_c"] == pytest.approx(files.temperatures_c(6))
+        stated = called(files, "now", "--at", files.at(6).isoformat(), *options, *readings(files, 6))
+        assert stated["temperatures_from"] is None
+        assert stated["errors"] == found["errors"]
+        ram = files.temperatures_c(6)["ram"]
+        device.log.clear()
+        shown = call(files, "now", *options).stdout
+        assert "temperatures (read from the device twin): air " in shown
+        assert f"ram {ram:.2f} °C" in shown
+
+    @pytest.mark.parametrize(
+        ("device", "expected", "code"),
+        [
+            ({"look": "it would restart"}, "cannot be read: it would restart (device twin", 3),
+            ({"readings": {"air": 20.0}}, "sensor ram, which explains the drift, is not known (device twin)", 2),
+        ],
+    )
+    def test_a_thermometer_that_does_not_tell_is_named(
+        self, files: SeasonFiles, monkeypatch: pytest.MonkeyPatch, device: dict[str, Any], expected: str, code: int
+    ) -> None:
+        found = LookedAtThermometer(device.get("readings", {}), device.get("look", ""))
+        monkeypatch.setattr(thermometer_now, "create_device", lambda *_: found)
+        monkeypatch.setattr(thermal_history, "utc_timestamp", lambda: files.at(6).isoformat())
+        result = call(files, "now", "--out", files.folder / "now")
+        assert result.exit_code == code, result.output
+        assert expected in result.stderr
+        assert not (files.folder / "now").exists()
+
+    def test_the_thermometer_of_a_machine_in_use_is_left_alone(
+        self, files: SeasonFiles, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        device = LookedAtThermometer(files.temperatures_c(6))
+        monkeypatch.setattr(thermometer_now, "create_device", lambda *_: device)
+        with run_lock(files.folder / "state", "20260314T030000Z-0000"):
+            result = call(files, "now", "--out", files.folder / "now")
+        assert "the machine is owned by run 20260314T030000Z-0000" in result.stderr
+        assert "--temperature" in result.stderr
+        assert device.log == []
 
     def test_the_last_estimate_is_moved_even_if_nothing_is_learned_from_it(self, files: SeasonFiles) -> None:
         (files.folder / "state" / run_id(NIGHTS - 2) / "estimate.json").unlink()
