@@ -15,7 +15,7 @@ import click
 
 from agent.cli.errors import VolcalGroup, fail, reported
 from agent.cli.invocation import will_run
-from agent.cli.options import PATH, config_option
+from agent.cli.options import FIGURE, PATH, config_option
 from agent.cli.thermal_history import now_command, thermal_command
 from agent.language.sentences import LANGUAGES, Language
 
@@ -77,7 +77,7 @@ def list_command(config: Path, machine: str | None, last: int, as_json_object: b
 @config_option
 @_machine
 @click.option("--of", "names", multiple=True, metavar="NAME", help="Series, error or parameter; may be repeated.")
-@click.option("--figure", type=PATH, metavar="FILE.png", help="Draw the trends into this file.")
+@click.option("--figure", type=FIGURE, metavar="FILE", help="Draw the trends into this file: .png, .svg, .pdf.")
 @_json
 @reported
 def trend_command(
@@ -99,9 +99,9 @@ def trend_command(
         raise InputError("no run has produced a value yet", hint="`volcal history list` shows all runs")
     shown = select_trends(trends, names) if names else most_relevant(trends, 12)
     if figure is not None:
-        from agent.history.figure import trends_png  # noqa: PLC0415  drawing libraries are slow to import
+        from agent.history.figure import draw_trends  # noqa: PLC0415  drawing libraries are slow to import
 
-        write_all_atomically(figure.parent, {figure.name: trends_png(shown)})
+        write_all_atomically(figure.parent, {figure.name: draw_trends(shown).in_format_of(figure)})
     alarms = alarms_of(trends)
     actions = helpful_actions(trends, runs, settings.state_directory, settings.machine)
     if as_json_object:

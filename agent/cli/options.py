@@ -5,10 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import click
 from click.core import ParameterSource
 
+from agent.figures import FIGURE_ENDINGS
 from drivers.errors import ConfigurationError
 
 SETTINGS_FILE = Path("volcal.toml")
@@ -19,6 +21,19 @@ _CASE = "volcal.case"
 
 PATH = click.Path(path_type=Path)
 """Type of options whose value is a file or a folder."""
+
+
+class FigureFile(click.Path):
+    """Type of options whose value is a file with a figure, in the format that its ending says."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        path = Path(str(super().convert(value, param, ctx)))
+        if path.suffix.lower() not in FIGURE_ENDINGS:
+            self.fail(f"'{path.name}' must end with one of {', '.join(FIGURE_ENDINGS)}", param, ctx)
+        return path
+
+
+FIGURE = FigureFile(path_type=Path)
 
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*(min|h|)")
 

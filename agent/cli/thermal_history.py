@@ -13,7 +13,7 @@ import click
 
 from agent.cli.errors import reported
 from agent.cli.invocation import will_run
-from agent.cli.options import PATH, config_option
+from agent.cli.options import FIGURE, PATH, config_option
 
 if will_run():
     from rich.table import Table
@@ -21,6 +21,7 @@ if will_run():
     from agent.cli.opened_history import opened_history
     from agent.cli.printing import columns_table, results_console
     from agent.files import write_all_atomically
+    from agent.settings.load import naming
     from drivers.clock import utc_timestamp
 
 if TYPE_CHECKING:
@@ -71,7 +72,12 @@ def _moment(_context: click.Context, _option: click.Parameter, text: str | None)
 @click.command("thermal")
 @config_option
 @_sensor
-@click.option("--figure", type=PATH, metavar="FILE.png", help="Draw drift, temperatures and effects into this file.")
+@click.option(
+    "--figure",
+    type=FIGURE,
+    metavar="FILE",
+    help="Draw drift, temperatures and effects into this file: .png, .svg, .pdf.",
+)
 @_json
 @reported
 def thermal_command(config: Path, sensors: tuple[str, ...], figure: Path | None, as_json_object: bool) -> None:
@@ -84,9 +90,10 @@ def thermal_command(config: Path, sensors: tuple[str, ...], figure: Path | None,
     with opened_history(config) as (settings, store):
         found = sensor_drift(store.runs(store.address.machine), settings, sensors)
     if figure is not None:
-        from agent.history.thermal_figure import thermal_png  # noqa: PLC0415  drawing libraries are slow to import
+        from agent.history.thermal_figure import draw_thermal  # noqa: PLC0415  drawing libraries are slow to import
 
-        write_all_atomically(figure.parent, {figure.name: thermal_png(found, f"machine {found.history.machine.name}")})
+        drawn = draw_thermal(found, f"machine {found.history.machine.name}")
+        write_all_atomically(figure.parent, {figure.name: drawn.in_format_of(figure)})
     if as_json_object:
         click.echo(json.dumps(found.as_json(), allow_nan=False))
     else:
@@ -102,7 +109,8 @@ def thermal_command(config: Path, sensors: tuple[str, ...], figure: Path | None,
     multiple=True,
     metavar="NAME=°C",
     callback=_readings,
-    help="Temperature of a sensor now; needed of each sensor that explains the drift.",
+    help="Temperature of a sensor now; needed of each sensor that explains the drift [default: read from the "
+    "thermometer, unless --at is given].",
 )
 @click.option(
     "--at",
@@ -125,15 +133,22 @@ def now_command(
 ) -> None:
     """Estimate the machine now: last estimate, temperatures, and positions.
 
-    Writes predicted.json, and with positions estimate.json, which are estimates like that of a run.
+    Writes predicted.json, and with positions estimate.json, which are estimates like that of a run. Without
+    --temperature, the thermometer is read; nothing moves, and nothing is written to the machine.
     """
     from agent.history.sensor_drift import sensor_drift  # noqa: PLC0415  mathematics that the list of runs needs not
     from agent.runs.offline.machine_now import NowRequest, machine_now  # noqa: PLC0415
 
+    read_from = None
     moment = datetime.fromisoformat(utc_timestamp()) if at is None else at
     with opened_history(config) as (settings, store):
         drift = sensor_drift(store.runs(store.address.machine), settings, sensors)
-    found = machine_now(drift, settings, NowRequest(temperatures, moment, out, balls))
+    if drift.found.taken and not temperatures and at is None:
+        from agent.runs.offline.thermometer_now import temperatures_now  # noqa: PLC0415  drivers, which others need not
+
+        with naming(config):
+            temperatures, read_from = temperatures_now(settings, config.resolve().parent), settings.roles.thermometer
+    found = machine_now(drift, settings, NowRequest(temperatures, moment, out, balls, read_from))
     if as_json_object:
         click.echo(json.dumps(found.as_json(), allow_nan=False))
     else:
@@ -169,6 +184,12 @@ def _show_drift(drift: SensorDrift) -> None:
     )
     if not drift.found.taken:
         console.print("no sensor explains the drift: none is used", markup=False)
+    if drift.history.inseparable:
+        console.print(
+            f"note: {drift.history.inseparable} nights are left out: each was fused with the night before, and the "
+            "estimate file of one of the two is gone, so that what it measured itself is not known",
+            markup=False,
+        )
 
 
 def _effects_table(drift: SensorDrift) -> Table:
@@ -192,6 +213,10 @@ def _show_now(found: MachineNow) -> None:
         f"sensors: {sensors}",
         markup=False,
     )
+    if found.temperatures_c:
+        readings = ", ".join(f"{name} {value:.2f} °C" for name, value in found.temperatures_c.items())
+        source = "as stated" if found.read_from is None else f"read from the device {found.read_from}"
+        console.print(f"temperatures ({source}): {readings}", markup=False)
     shown = columns_table(("state", "VE, µm", "VCE, µm"), whole=("state",), numbers=("VE, µm", "VCE, µm"))
     rows: list[tuple[str, ExpectedErrors | None]] = [
         ("last estimate", found.then),
@@ -211,6 +236,8 @@ def _show_now(found: MachineNow) -> None:
         f"estimate: {found.file}",
         markup=False,
     )
+    for one in found.extrapolated:
+        console.print(f"note: {one.text}", markup=False)
     if found.identification is not None and found.identification.material.night is not None:
         night = found.identification.material.night
         if not night.fits:

@@ -19,6 +19,7 @@ from drivers.registry import DeviceContext, create_device
 from drivers.roles import (
     CompensationStore,
     Device,
+    LookOnlyDevice,
     Machine,
     MultiStationMount,
     Operator,
@@ -104,6 +105,17 @@ def assemble(settings: Settings, clock: Clock, base: Path) -> Rig:
         operator=in_role(devices, roles.operator, Operator, "roles.operator"),
         clock=clock,
     )
+
+
+@contextmanager
+def opened_to_look(device: LookOnlyDevice, *, tables: bool = False) -> Iterator[None]:
+    """Open `device` only to be read during the `with` block, and close it again. With `tables`, its compensation tables
+    can be read too."""
+    device.open_to_look(tables=tables)
+    try:
+        yield
+    finally:
+        device.close()
 
 
 def _mounts(devices: Mapping[str, Device], settings: Settings) -> dict[int, RotaryMount]:

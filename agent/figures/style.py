@@ -13,7 +13,8 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -22,6 +23,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+
+from agent.figures import FIGURE_ENDINGS
+from drivers.errors import InputError
 
 INK = "#1b2430"
 """Colour of text, axes and zero lines."""
@@ -119,23 +123,36 @@ _CIRCLE = re.compile(rf"\s*M 0 (?P<radius>{_NUMBER})(?:\s+C(?:\s+{_NUMBER}){{6}}
 
 @dataclass(frozen=True)
 class Picture:
-    """Figure that has been rendered both as PNG and as SVG."""
+    """Figure that has been rendered both as PNG and as SVG. `draw_pdf` renders it as PDF, which few people ask for."""
 
     png: bytes
     svg: str
+    draw_pdf: Callable[[], bytes] = field(repr=False, compare=False)
+
+    def in_format_of(self, file: Path) -> bytes | str:
+        """Return the figure in the format that the ending of the name `file`, one of `FIGURE_ENDINGS`, says. Raises
+        InputError for another ending."""
+        match file.suffix.lower():
+            case ".png":
+                return self.png
+            case ".svg":
+                return self.svg
+            case ".pdf":
+                return self.draw_pdf()
+        raise InputError(f"the name of a figure must end with one of {', '.join(FIGURE_ENDINGS)}", file=str(file))
 
 
 def picture(name: str, draw: Draw, size_in: tuple[float, float]) -> Picture:
     """Return a figure in the style of the studies, rendered as PNG and as SVG. The function `draw` receives the empty
     figure and draws on it.
 
-    `size_in` contains the width and the height in inches. The same input always gives the same bytes.
+    `size_in` contains the width and the height in inches. The same input always gives the same bytes, also as PDF.
     """
     with mpl.rc_context(_STUDY_SETTINGS):
         mpl.rcParams["svg.hashsalt"] = name
         figure = Figure(figsize=size_in, dpi=DOTS_PER_INCH)
         draw(figure)
-        return Picture(_png(figure), _svg(figure))
+        return Picture(_png(figure), _svg(figure), lambda: _pdf(figure))
 
 
 def headed(draw: Draw, heading: str) -> Draw:
@@ -228,6 +245,16 @@ def _svg(figure: Figure) -> str:
     buffer = io.StringIO()
     unstamped = {"Date": None, "Creator": None, "Format": None, "Type": None}
     FigureCanvasSVG(figure).print_svg(buffer, metadata=unstamped)  # type: ignore[no-untyped-call]
+    return buffer.getvalue()
+
+
+def _pdf(figure: Figure) -> bytes:
+    from matplotlib.backends.backend_pdf import FigureCanvasPdf  # noqa: PLC0415  reads fonts, for PDF only
+
+    buffer = io.BytesIO()
+    unstamped = {"CreationDate": None, "Creator": None, "Producer": None}
+    with mpl.rc_context(_STUDY_SETTINGS):
+        FigureCanvasPdf(figure).print_pdf(buffer, metadata=unstamped)  # type: ignore[no-untyped-call]
     return buffer.getvalue()
 
 

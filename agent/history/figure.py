@@ -22,6 +22,7 @@ from agent.figures.style import (
     REPORT_WIDTH_IN,
     Drawing,
     Margins,
+    Picture,
     picture,
 )
 from agent.history.trends import Trend
@@ -35,11 +36,11 @@ _ABOVE = 1.08  # room above the tolerance
 _BEYOND = 1.1  # of the last date that is marked
 
 
-def trends_png(trends: Sequence[Trend]) -> bytes:
-    """Return a PNG image with one panel per trend and two panels in each row."""
+def draw_trends(trends: Sequence[Trend]) -> Picture:
+    """Return a figure with one panel per trend and two panels in each row."""
     rows = -(-len(trends) // _COLUMNS)
     size = (9.0, max(_ROW_IN * rows, 2.6) + 0.4)
-    return picture("trends", lambda figure: _panels(figure, trends, QUIET), size).png
+    return picture("trends", lambda figure: _panels(figure, trends, QUIET), size)
 
 
 def trends_svg(trends: Sequence[Trend]) -> str:

@@ -145,7 +145,8 @@ class SensorDrift:
         return {
             "machine": history.machine.name,
             "nights": len(self.found.nights),
-            "nights_without_temperatures": len(history.nights) - len(self.found.nights),
+            "nights_without_temperatures": len(history.nights) - history.inseparable - len(self.found.nights),
+            "nights_without_former_estimate": history.inseparable,
             "nights_without_file": history.without_file,
             "from": f"{self.dates[0]:%Y-%m-%d}",
             "to": f"{self.dates[-1]:%Y-%m-%d}",

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from agent.figures.style import BAND_OPACITY, BLUE, ORANGE, PURPLE, QUIET, headed, picture
+from agent.figures.style import BAND_OPACITY, BLUE, ORANGE, PURPLE, QUIET, Picture, headed, picture
 from agent.history.series import title_of
 
 if TYPE_CHECKING:
@@ -23,9 +23,9 @@ _COLOURS = (BLUE, ORANGE, PURPLE, QUIET)
 _SIZE_IN = (9.5, 6.4)
 
 
-def thermal_png(drift: SensorDrift, heading: str) -> bytes:
-    """Return a PNG image of the drift, under the heading that names the machine."""
-    return picture("thermal", headed(lambda figure: _panels(figure, drift), heading), _SIZE_IN).png
+def draw_thermal(drift: SensorDrift, heading: str) -> Picture:
+    """Return a figure of the drift, under the heading that names the machine."""
+    return picture("thermal", headed(lambda figure: _panels(figure, drift), heading), _SIZE_IN)
 
 
 def _panels(figure: Figure, drift: SensorDrift) -> None:

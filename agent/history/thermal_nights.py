@@ -20,7 +20,6 @@ from agent.workpiece.estimate_and_table import ESTIMATE_NAME
 from drivers.errors import InputError
 from twin.arrays import Array
 from twin.formats.estimate_file import StoredEstimate, parse_estimate
-from twin.identification import DriftFactor
 from twin.machine.machine_description import MachineDescription
 from twin.monitoring.drift_evidence import MOST_SENSORS
 from twin.monitoring.thermal_drift import FusedWith, NightEstimate
@@ -36,7 +35,7 @@ class ThermalNights:
     `run_ids` and `started_s` (n,), in seconds since 1970, belong to `nights`. `reference` is the latest estimate that
     has a file, of the run `reference_run`, and `reference_place` its index among the nights. `expected` (p, p) is the
     covariance of the parameters of the machine's family, in mm and rad. `steps` are the days at which the machine was
-    found changed. `without_file` is the number of nights of which only the standard uncertainties are known.
+    found changed. `without_file` is the number of separable nights of which only the standard uncertainties are known.
     """
 
     machine: MachineDescription
@@ -53,13 +52,20 @@ class ThermalNights:
     steps: tuple[float, ...]
     without_file: int
 
+    @property
+    def inseparable(self) -> int:
+        """Number of nights that were fused with an estimate whose file, or whose own file, is gone."""
+        return sum(not one.separable for one in self.nights)
+
 
 def recorded_sensors(runs: Sequence[StoredRun], settings: Settings, named: Sequence[str] = ()) -> tuple[str, ...]:
-    """Return the names of the sensors that may explain the drift: `named`, or those of the settings, or all that most
-    runs recorded except those of the artefact.
+    """Return the names of the sensors that may explain the drift: `named` by the option `--sensor`, or those of the
+    settings, or all that most runs recorded except those of the artefact.
 
-    Raises InputError if there is none, if there are too many, or if no run has recorded one of them.
+    Raises InputError if there is none, if there are too many, if one is named twice or is one of the artefact, or if no
+    run has recorded one of them. It names the option or the settings key that stated the sensors.
     """
+    place = {"option": "--sensor"} if named else {"key": "temperature.drift_sensors"}
     stated = tuple(named or settings.temperature.drift_sensors)
     counts: dict[str, int] = {}
     with_estimate = [run for run in runs if run.parameters]
@@ -67,30 +73,39 @@ def recorded_sensors(runs: Sequence[StoredRun], settings: Settings, named: Seque
         for one in run.temperatures:
             counts[one.sensor] = counts.get(one.sensor, 0) + 1
     known = ", ".join(sorted(counts)) or "none"
+    of_artefact = settings.temperature.artefact_sensors
     if not stated:
-        of_artefact = settings.temperature.artefact_sensors
         often = _LEAST_RECORDED * len(with_estimate)
         stated = tuple(name for name in sorted(counts) if name not in of_artefact and counts[name] >= often)
     if not stated:
         raise InputError(
             "no run has recorded a temperature sensor of the machine",
             hint="name the sensors in the settings of the driver; recorded: " + known,
-            key="temperature.drift_sensors",
+            **place,
         )
     for name in stated:
+        if stated.count(name) > 1:
+            raise InputError(f"the sensor {name!r} is named twice", **place)
+        if name in of_artefact:
+            raise InputError(
+                f"the sensor {name!r} is one of temperature.artefact_sensors: the temperature of the artefact does not "
+                "explain a drift of the machine",
+                hint=f"recorded sensors: {known}",
+                **place,
+            )
         if name not in counts:
             raise InputError(
                 f"no run with an estimate has recorded the sensor {name!r}",
                 hint=f"recorded sensors: {known}",
-                key="temperature.drift_sensors",
+                **place,
             )
-    if len(set(stated)) > MOST_SENSORS:
+    if len(stated) > MOST_SENSORS:
         raise InputError(
-            f"{len(set(stated))} sensors ({', '.join(stated)}) are too many, at most {MOST_SENSORS} explain a drift",
-            hint="choose with --sensor",
-            key="temperature.drift_sensors",
+            f"{len(stated)} sensors ({', '.join(stated)}) are too many, at most {MOST_SENSORS} explain a drift",
+            hint=f"choose {MOST_SENSORS}",
+            **place,
         )
-    return tuple(dict.fromkeys(stated))
+    return stated
 
 
 def thermal_nights(runs: Sequence[StoredRun], settings: Settings, sensors: Sequence[str]) -> ThermalNights:
@@ -132,7 +147,7 @@ def thermal_nights(runs: Sequence[StoredRun], settings: Settings, sensors: Seque
         [run.run_id for run in alike].index(reference_run),
         np.diag(machine.family.prior_standard_deviation**2),
         tuple(days[run.run_id] for run in runs if run.night in CHANGED_MACHINE),
-        sum(run.run_id not in estimates for run in alike),
+        sum(run.run_id not in estimates and one.separable for run, one in zip(alike, nights, strict=True)),
     )
 
 
@@ -154,13 +169,18 @@ def _night(
     means = np.array([math.nan if one is None else one.mean for one in found])
     sigmas = np.array([math.nan if one is None else reading_uncertainty_k(one, sensor_sigma_k) for one in found])
     estimate = estimates.get(run.run_id)
+    was_fused = run.since is not None and run.night not in CHANGED_MACHINE
     if estimate is None:
         factors = np.array([1.0 / dict(MICRO_UNITS.values())[one.unit] for one in run.parameters])
         values, deviations = factors * run.parameter_arrays.values, factors * run.parameter_arrays.sigmas
-        return NightEstimate(day, values, np.diag(deviations**2), means, sigmas)
-    before = estimates.get(run.since) if run.since is not None and run.night not in CHANGED_MACHINE else None
+        # The correlations are gone, without which the prior cannot be taken out of a fused estimate.
+        return NightEstimate(day, values, np.diag(deviations**2), means, sigmas, separable=not was_fused)
+    # A full calibration whose table was taken back has the decision of a fused night, but was made from itself alone.
+    was_fused = was_fused and estimate.was_fused
+    before = estimates.get(str(run.since)) if was_fused else None
     fused = None if before is None else _fused_with(before, estimate, walk, run.nights or 1.0)
-    return NightEstimate(day, estimate.parameters, estimate.covariance, means, sigmas, fused)
+    separable = fused is not None or not was_fused
+    return NightEstimate(day, estimate.parameters, estimate.covariance, means, sigmas, fused, separable)
 
 
 def _fused_with(before: StoredEstimate, estimate: StoredEstimate, walk: Array, nights: float) -> FusedWith | None:
@@ -168,8 +188,7 @@ def _fused_with(before: StoredEstimate, estimate: StoredEstimate, walk: Array, n
     None if the models differ, which fusing excludes."""
     if before.model.names != estimate.model.names:
         return None
-    factor = DriftFactor(**estimate.document.carried_over.drift_factor.model_dump())
-    aged = replace(before.carried_over(), drift_factor=factor).after(walk, nights)
+    aged = replace(before.carried_over(), drift_factor=estimate.drift_factor).after(walk, nights)
     own, unknowns = aged.unknowns.blocks.parameters, aged.unknowns
     return FusedWith(unknowns.parameters(aged.mean), unknowns.physical_covariance(aged.covariance[own, own]))
 

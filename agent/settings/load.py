@@ -43,11 +43,12 @@ def load_settings(path: Path) -> Settings:
 @contextmanager
 def naming(config: Path) -> Iterator[None]:
     """Add the path of the settings file to every UserError raised in the `with` block, unless the error already names a
-    file."""
+    file, or an option of the command line."""
     try:
         yield
     except UserError as error:
-        raise error.at(file=str(config)) from error.__cause__
+        named = error if "option" in error.where else error.at(file=str(config))
+        raise named from error.__cause__
 
 
 def with_overrides(

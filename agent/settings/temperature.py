@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import Annotated, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from twin.formats.toml_reading import StrictModel
 from twin.thermal.artefact_temperature import assumed_uncertainty_k
@@ -33,7 +33,9 @@ class TemperatureSettings(StrictModel):
     `tip_um_per_k` for the position of the tip. The position of the tip includes the growth of the scales at mid-travel.
 
     `drift_sensors` are up to four thermometers of the machine whose temperatures `volcal history thermal` compares with
-    the drift between nights; if none is named, all that were recorded except those of the artefact are used.
+    the drift between nights; if none is named, all that were recorded except those of the artefact are used. Sensors of
+    the artefact are refused: by day it is not in the machine, and at night their readings explain its own errors, such
+    as a wrong coefficient of expansion, as if the machine had drifted.
     `drift_sensor_uncertainty_k` is the standard uncertainty of their changes from night to night.
 
     The first `repeat_positions` positions at the first station are measured again at the end of the run if the machine
@@ -65,6 +67,19 @@ class TemperatureSettings(StrictModel):
         """Standard uncertainty in K of the artefact temperature; a large one if none is stated."""
         stated = self.standard_uncertainty_k
         return assumed_uncertainty_k(was_read=True) if stated is None else stated
+
+    @field_validator("drift_sensors")
+    @classmethod
+    def _each_once_and_of_the_machine(cls, names: list[str], known: ValidationInfo) -> list[str]:
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"the sensor {name!r} is named twice")
+            if name in known.data.get("artefact_sensors", ()):
+                raise ValueError(
+                    f"the sensor {name!r} is one of temperature.artefact_sensors: the temperature of the artefact does "
+                    "not explain a drift of the machine"
+                )
+        return names
 
     @model_validator(mode="after")
     def _declared_can_be_used(self) -> Self:

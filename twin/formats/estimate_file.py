@@ -97,11 +97,21 @@ class StoredEstimate(Displayed):
         """Ball centres of the artefact as estimated from the measurements; None if they were not estimated."""
         return self.unknowns.artefact_calibration(self.z, self.z_covariance)
 
+    @property
+    def drift_factor(self) -> DriftFactor:
+        """Factor on the process noise between nights, as learned until this estimate."""
+        return DriftFactor(**self.document.carried_over.drift_factor.model_dump())
+
+    @property
+    def was_fused(self) -> bool:
+        """True if the prior of this estimate was that of an earlier night: only such an estimate knows of a drift."""
+        return bool(self.trend) or self.drift_factor != DriftFactor()
+
     def carried_over(self) -> CarriedOverPrior:
         """Return this estimate as the prior of a later estimate, without process noise: the machine is assumed not to
         have changed in between. Raise DataError if the covariance is singular."""
         scales = self.document.scales.scales
-        factor = DriftFactor(**self.document.carried_over.drift_factor.model_dump())
+        factor = self.drift_factor
         freedom = self.document.degrees_of_freedom
         joined = self.document.carried_over.joined_readings
         return CarriedOverPrior(self.unknowns, self.z, self.z_covariance, scales, factor, freedom, self.trend, joined)

@@ -28,6 +28,13 @@ from twin.monitoring.seen_directions import SeenDirections, own_measurement
 from twin.monitoring.sensor_screening import ScreenedSensors, screen_sensors
 from twin.monitoring.thermal_regression import ThermalFit, explain_drift
 
+EXTRAPOLATED_SHARE = 0.2
+"""Distance from the temperatures of the nights, as a share of their range, beyond which a result is extrapolated.
+
+What the stated uncertainty leaves out is that an effect may bend. The departure of a parabola from its tangent in the
+middle of the range grows with the square of the distance from there. At this limit it is (0.7 / 0.5)² = 2 times that at
+the ends of the range, the largest one that the nights could show; farther out nothing bounds it."""
+
 
 @dataclass(frozen=True, eq=False)
 class FusedWith:
@@ -43,7 +50,9 @@ class NightEstimate:
     """Estimate of p parameters with their covariance (p, p) in mm and rad, and the readings of s sensors of that night.
 
     `day` is the time in days. `readings_c` and `uncertainties_k` (s,) are in °C and K, NaN where a sensor gave no
-    reading. `fused_with` is None if the estimate was made from the measurements of this night alone.
+    reading. `fused_with` is None if the estimate was made from the measurements of this night alone. `separable` is
+    False if it was fused with an estimate that is not known: what this night measured cannot be told from what others
+    did, which would count twice, at the temperatures of the wrong night. Nothing is learned from such a night.
     """
 
     day: float
@@ -52,6 +61,7 @@ class NightEstimate:
     readings_c: Array
     uncertainties_k: Array
     fused_with: FusedWith | None = None
+    separable: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +69,8 @@ class ThermalDrift:
     """Drift between nights as explained by sensors.
 
     `sensors` are the names of the sensors that can be used, in the order of `fit`; `screened` contains the verdict on
-    all of them. `nights` contains the indices of the nights with estimate and readings of these sensors. `directions`
-    are those that the nights see, to which the values of `fit` belong.
+    all of them. `nights` contains the indices of the nights from which was learned: separable, and with readings of
+    these sensors. `directions` are those that the nights see, to which the values of `fit` belong.
     """
 
     sensors: tuple[str, ...]
@@ -73,6 +83,20 @@ class ThermalDrift:
     def taken(self) -> tuple[str, ...]:
         """Names of the sensors that explain the drift."""
         return tuple(self.sensors[place] for place in self.fit.taken)
+
+    @property
+    def learned_c(self) -> tuple[Array, Array]:
+        """Lowest and highest temperature (s,) in °C of each usable sensor in the nights from which its effect was
+        learned."""
+        readings = self.fit.drift.temperatures_c
+        return readings.min(axis=0), readings.max(axis=0)
+
+    def extrapolated(self, temperatures_c: ArrayLike) -> tuple[int, ...]:
+        """Return the indices of the usable sensors whose temperature in °C, of `temperatures_c` (s,), lies farther
+        outside those of the nights than `EXTRAPOLATED_SHARE` of their range. A temperature that is NaN does not."""
+        given, (lowest, highest) = np.asarray(temperatures_c, dtype=np.float64), self.learned_c
+        outside = np.maximum(lowest - given, given - highest)
+        return tuple(np.flatnonzero(outside > EXTRAPOLATED_SHARE * (highest - lowest)).tolist())
 
     @property
     def coefficients(self) -> tuple[Array, Array]:
@@ -137,9 +161,12 @@ def explain_thermal_drift(
         raise DataError("no temperature sensor is named")
     if len(sensors) > MOST_SENSORS:
         raise DataError(f"{len(sensors)} sensors are too many, at most {MOST_SENSORS} explain a drift")
-    if len(nights) < MIN_NIGHTS:
+    separable = np.array([one.separable for one in nights], dtype=np.bool_)
+    count, lost = int(separable.sum()), int((~separable).sum())
+    if count < MIN_NIGHTS:
+        without = f"; {lost} more were fused with an estimate whose file is gone" if lost else ""
         raise DataError(
-            f"{len(nights)} nights with an estimate are too few to explain a drift, {MIN_NIGHTS} are needed",
+            f"{count} nights with an estimate are too few to explain a drift, {MIN_NIGHTS} are needed{without}",
             hint="measure more nights; a season of temperatures tells more than a week",
         )
     readings, sigmas = (np.array([getattr(one, name) for one in nights]) for name in ("readings_c", "uncertainties_k"))
@@ -149,7 +176,7 @@ def explain_thermal_drift(
         reasons = "; ".join(f"{one.name} {one.reason}" for one in screened.verdicts)
         raise DataError(f"no sensor can explain a drift: {reasons}")
     temperatures = screened.readings_c[:, usable]
-    complete = np.flatnonzero(np.isfinite(temperatures).all(axis=1))
+    complete = np.flatnonzero(separable & np.isfinite(temperatures).all(axis=1))
     directions = SeenDirections.of(np.mean([one.covariance for one in nights], axis=0), expected)
     measured = [_measured(nights[at], directions) for at in complete.tolist()]
     drift = NightlyDrift(

@@ -16,7 +16,7 @@ import click
 
 from agent.cli.errors import VolcalGroup, reported
 from agent.cli.invocation import will_run
-from agent.cli.options import PATH
+from agent.cli.options import FIGURE, PATH
 from agent.cli.triples import parse_triple, point_in_mm
 
 if will_run():
@@ -72,13 +72,7 @@ _RIGID = click.option(
 _OUT = click.option("--out", "-o", type=PATH, default=Path("deflection.csv"), show_default=True, help="Grid file.")
 
 
-def _figure_file(_: click.Context, __: click.Parameter, path: Path | None) -> Path | None:
-    if path is not None and path.suffix.lower() not in (".png", ".svg"):
-        raise click.BadParameter("the name of a figure ends with .png or .svg")
-    return path
-
-
-_FIGURE = click.option("--figure", type=PATH, callback=_figure_file, help="Figure of the grid: .png, .svg.")
+_FIGURE = click.option("--figure", type=FIGURE, help="Figure of the grid: .png, .svg, .pdf.")
 
 
 def _shape(_: click.Context, __: click.Parameter, text: str | None) -> tuple[int, int, int] | None:
@@ -239,7 +233,7 @@ def model_command(
 @fe_group.command("compare")
 @click.argument("grids", type=PATH, nargs=-1, required=True)
 @click.option("--machine", type=PATH, required=True, help="Machine file (TOML) with axis ranges and cross-effect.")
-@click.option("--figure", type=PATH, callback=_figure_file, help="Figure of all grids: .png, .svg.")
+@click.option("--figure", type=FIGURE, help="Figure of all grids: .png, .svg, .pdf.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout instead of a table.")
 @reported
 def compare_command(grids: tuple[Path, ...], machine: Path, figure: Path | None, as_json: bool) -> None:
@@ -324,5 +318,4 @@ def _write(grid: DeflectionGrid, out: Path, figure: Path | None, heading: str, f
 
 def _draw(file: Path, grids: dict[str, DeflectionGrid], heading: str, filled: Array | None = None) -> None:
     drawn = draw_grids(grids, heading, filled)
-    content = drawn.png if file.suffix.lower() == ".png" else drawn.svg
-    write_all_atomically(file.parent, {file.name: content})
+    write_all_atomically(file.parent, {file.name: drawn.in_format_of(file)})

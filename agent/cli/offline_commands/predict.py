@@ -17,7 +17,7 @@ import click
 
 from agent.cli.errors import reported
 from agent.cli.invocation import will_run
-from agent.cli.options import PATH
+from agent.cli.options import FIGURE, PATH
 from agent.cli.triples import parse_triple, point_in_mm
 
 if will_run():
@@ -44,18 +44,11 @@ if will_run():
 
 BEST = "best"
 _COLOURS = {"conforms": "green", "does not conform": "red", "undecided": "yellow", "no tolerance": "default"}
-_PICTURES = (".png", ".svg")
 
 
 def _place(_: click.Context, __: click.Parameter, text: str) -> tuple[float, float, float] | None:
     """Parse the place of the workpiece; the word `best` is None."""
     return None if text.strip().lower() == BEST else parse_triple(text, f", or the word {BEST}")
-
-
-def _picture(_: click.Context, __: click.Parameter, path: Path | None) -> Path | None:
-    if path is not None and path.suffix.lower() not in _PICTURES:
-        raise click.BadParameter(f"'{path.name}' must end in {' or '.join(_PICTURES)}")
-    return path
 
 
 @click.command("predict")
@@ -89,9 +82,7 @@ def _picture(_: click.Context, __: click.Parameter, path: Path | None) -> Path |
     metavar="X,Y,Z",
     help="Offset of the tool that machines the workpiece, in mm [default: that of the table].",
 )
-@click.option(
-    "--map", "map_file", type=PATH, callback=_picture, help="Picture of the errors at other places: .png, .svg."
-)
+@click.option("--map", "map_file", type=FIGURE, help="Picture of the errors at other places: .png, .svg, .pdf.")
 @click.option("-o", "--out", type=PATH, metavar="OUT.csv", help="Write the predictions to a CSV file as well.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout instead of a table.")
 @reported
@@ -160,8 +151,7 @@ def _write_map(places: PlaceMap, placement: Placement, file: Path) -> None:
     from agent.workpiece.place_figure import draw_places  # noqa: PLC0415  matplotlib takes a second to import
 
     drawn = draw_places(places, placement, f"turned by {degrees(placement.turned_rad):g}°")
-    content = drawn.png if file.suffix.lower() == ".png" else drawn.svg
-    write_all_atomically(file.parent, {file.name: content})
+    write_all_atomically(file.parent, {file.name: drawn.in_format_of(file)})
 
 
 def _show(found: PredictedFeatures, console: Console) -> None:

@@ -42,12 +42,14 @@ LONGEST_DAYS = 7.0
 @dataclass(frozen=True)
 class NowRequest:
     """Combined estimate that is asked for: the temperatures in °C by sensor `at` a UTC time, the folder `out` of its
-    files, and the file of positions measured about then, None without one."""
+    files, and the file of positions measured about then, None without one. `read_from` is the device from which the
+    temperatures were read, also of sensors that are not used; None if they were stated."""
 
     temperatures_c: Mapping[str, float]
     at: datetime
     out: Path
     balls: Path | None = None
+    read_from: str | None = None
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,28 @@ class ExpectedErrors:
     vce_um: float
 
 
+@dataclass(frozen=True)
+class ExtrapolatedSensor:
+    """Sensor whose temperature `value_c` lies outside the temperatures `lowest_c` to `highest_c` at which its effect
+    was learned, in °C. `of_run` is True for the temperature in the run of the last estimate, False for that now."""
+
+    name: str
+    value_c: float
+    lowest_c: float
+    highest_c: float
+    of_run: bool
+
+    @property
+    def text(self) -> str:
+        """Sentence without a full stop."""
+        when = "in the run of the last estimate" if self.of_run else "now"
+        return (
+            f"the sensor {self.name} shows {self.value_c:.2f} °C {when}, but its effect was learned at "
+            f"{self.lowest_c:.2f} to {self.highest_c:.2f} °C: the result is extrapolated, and its uncertainty does not "
+            "cover an effect that is not linear"
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class MachineNow:
     """Combined estimate of the machine.
@@ -67,7 +91,9 @@ class MachineNow:
     temperatures; and `measured` for the estimate with the positions of `identification`, which is None without any.
     `moved_um` is the rms change of the error field that the temperatures explain, and `doubt_um` the rms uncertainty
     that change and time have added. `largest` are the parameters that are predicted to change most: name, change and
-    standard uncertainty of the change in `unit`.
+    standard uncertainty of the change in `unit`. `extrapolated` are the sensors whose temperatures lie outside those at
+    which their effects were learned. `temperatures_c` are those now that were used, and `read_from` the device that
+    gave them; None if they were stated.
     """
 
     machine: str
@@ -83,6 +109,9 @@ class MachineNow:
     largest: tuple[tuple[str, float, float, str], ...]
     file: Path
     identification: IdentificationResult | None
+    extrapolated: tuple[ExtrapolatedSensor, ...]
+    temperatures_c: Mapping[str, float]
+    read_from: str | None
 
     def as_json(self) -> dict[str, Any]:
         """Return the result as a mapping to be written as JSON (docs/reference/json.md)."""
@@ -93,6 +122,8 @@ class MachineNow:
             "age_days": self.age_days,
             "sensors": list(self.sensors),
             "temperature_changes_k": dict(self.temperature_changes_k),
+            "temperatures_c": dict(self.temperatures_c),
+            "temperatures_from": self.read_from,
             "then": vars(self.then),
             "predicted": vars(self.predicted),
             "measured": None if self.measured is None else vars(self.measured),
@@ -103,6 +134,7 @@ class MachineNow:
                 {"name": name, "change": change, "standard_uncertainty": sigma, "unit": unit}
                 for name, change, sigma, unit in self.largest
             ],
+            "extrapolated": [vars(one) for one in self.extrapolated],
             "estimate": str(self.file),
         }
 
@@ -131,8 +163,10 @@ def machine_now(drift: SensorDrift, settings: Settings, request: NowRequest) -> 
             run=history.reference_run,
         )
     unknown = sorted(set(request.temperatures_c) - set(history.sensors))
-    if unknown:
-        raise InputError(f"unknown sensor {unknown[0]!r}", hint=f"sensors: {', '.join(history.sensors)}")
+    if unknown and request.read_from is None:
+        raise InputError(
+            f"unknown sensor {unknown[0]!r}", hint=f"sensors: {', '.join(history.sensors)}", option="--temperature"
+        )
     to_c = np.array([request.temperatures_c.get(name, np.nan) for name in found.sensors])
     places = [history.sensors.index(name) for name in found.sensors]
     from_c = found.screened.readings_c[history.reference_place, places]
@@ -144,11 +178,14 @@ def machine_now(drift: SensorDrift, settings: Settings, request: NowRequest) -> 
                 run=history.reference_run,
             )
     sigmas = np.hypot(last.uncertainties_k[places], settings.temperature.drift_sensor_uncertainty_k)
-    with translated(InputError):
+    # Of a thermometer, the device is the place of a missing reading.
+    place = {"option": "--temperature"} if request.read_from is None else {"device": request.read_from}
+    with translated(InputError, **place):
         change, covariance = found.change(from_c, to_c, days, sigmas)
     known = history.reference.carried_over()
     moved = after_change(known, change, covariance)
-    identification = _written(drift, settings, request, moved)
+    extrapolated = (*_extrapolated(drift, from_c, of_run=True), *_extrapolated(drift, to_c, of_run=False))
+    identification = _written(drift, settings, request, moved, extrapolated)
     after = None
     if identification is not None:
         after = _errors(drift, identification.estimation.estimate.carried_over())
@@ -166,11 +203,28 @@ def machine_now(drift: SensorDrift, settings: Settings, request: NowRequest) -> 
         _largest(drift, change, covariance),
         request.out / (PREDICTED_NAME if identification is None else ESTIMATE_NAME),
         identification,
+        extrapolated,
+        {name: float(to_c[at]) for at, name in enumerate(found.sensors) if np.isfinite(to_c[at])},
+        request.read_from,
+    )
+
+
+def _extrapolated(drift: SensorDrift, temperatures_c: Array, *, of_run: bool) -> tuple[ExtrapolatedSensor, ...]:
+    found, (lowest, highest) = drift.found, drift.found.learned_c
+    return tuple(
+        ExtrapolatedSensor(
+            found.sensors[at], float(temperatures_c[at]), float(lowest[at]), float(highest[at]), of_run=of_run
+        )
+        for at in found.extrapolated(temperatures_c)
     )
 
 
 def _written(
-    drift: SensorDrift, settings: Settings, request: NowRequest, moved: CarriedOverPrior
+    drift: SensorDrift,
+    settings: Settings,
+    request: NowRequest,
+    moved: CarriedOverPrior,
+    extrapolated: Sequence[ExtrapolatedSensor],
 ) -> IdentificationResult | None:
     """Write the predicted estimate, and identify the positions with it as prior. Nothing is written if these are wrong.
     Results of an earlier identification in the folder do not belong to the new prediction and are deleted."""
@@ -179,6 +233,7 @@ def _written(
         "predicted_for": request.at.isoformat(timespec="seconds"),
         "predicted_from": history.reference_run,
         "predicted_by": f"volcal {version('volcal')}",
+        **_extrapolation_entry(extrapolated),
     }
     text = moved_estimate(read_text(history.reference_file), moved, provenance)
     with translated(file=PREDICTED_NAME):
@@ -190,12 +245,19 @@ def _written(
     with TemporaryDirectory() as folder:
         prior = Path(folder) / PREDICTED_NAME
         write_all_atomically(prior.parent, {prior.name: text})
-        result = _identified(settings, request, request.balls, prior)
+        result = _identified(settings, request, request.balls, prior, _extrapolation_entry(extrapolated))
     write_all_atomically(request.out, {PREDICTED_NAME: text})
     return result
 
 
-def _identified(settings: Settings, request: NowRequest, balls: Path, prior: Path) -> IdentificationResult:
+def _extrapolation_entry(extrapolated: Sequence[ExtrapolatedSensor]) -> dict[str, str]:
+    """Return the entry of the provenance of an estimate that says that it is extrapolated; none if it is not."""
+    return {"extrapolated": "; ".join(one.text for one in extrapolated)} if extrapolated else {}
+
+
+def _identified(
+    settings: Settings, request: NowRequest, balls: Path, prior: Path, provenance: Mapping[str, str]
+) -> IdentificationResult:
     """Identify the positions with the estimate in the file `prior` as prior."""
     chosen = settings.identification
     return identify_files(
@@ -212,6 +274,7 @@ def _identified(settings: Settings, request: NowRequest, balls: Path, prior: Pat
             table=settings.table,
             thermometer_uncertainty_k=settings.temperature.standard_uncertainty_k,
             with_report=False,
+            provenance=provenance,
         ),
         request.at.isoformat(timespec="seconds"),
     )

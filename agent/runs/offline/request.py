@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from agent.settings.schema import GateSettings, Order, TableSettings, VerificationSettings
@@ -33,7 +34,7 @@ class IdentificationRequest:
     `thermometer_uncertainty_k`, the uncertainty of the thermometer according to the settings, is used for a ball file
     that contains temperatures. `instruments` are files with readings of other instruments; those that contradict are
     used only if `join_contradicting` is True. If `with_report` is False, no report is drawn, which takes as long as the
-    identification.
+    identification. `provenance` is added to that of the estimate.
     """
 
     balls: Path
@@ -54,3 +55,4 @@ class IdentificationRequest:
     instruments: tuple[Path, ...] = ()
     join_contradicting: bool = False
     with_report: bool = True
+    provenance: Mapping[str, str] = field(default_factory=dict)

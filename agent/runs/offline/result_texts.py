@@ -69,6 +69,7 @@ def _provenance(result: IdentificationResult, request: IdentificationRequest) ->
         "weights": request.options.weights,
         "order": "carried over" if request.carried_over is not None else str(request.order),
         "table_tool": result.material.tool,
+        **request.provenance,
     }
 
 

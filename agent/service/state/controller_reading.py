@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 
+from agent.execution.device_assembly import opened_to_look
 from agent.execution.rig import Rig
 from agent.runs.reconcile import reconcile
 from agent.runs.reconcile_result import Reconciliation
@@ -60,11 +60,11 @@ def read_controller(rig: Rig, settings: Settings, must_compare: Callable[[int, i
             links.append(LinkState(name, unread=unread))
             continue
         try:
-            with _opened_to_look(seen):
+            with opened_to_look(seen):
                 if name == roles.store:
                     active, waiting = rig.store.active_bank(), rig.store.pending_bank()
             if name == roles.store and active is not None and must_compare(active, waiting):
-                with _opened_to_look(seen, tables=True):
+                with opened_to_look(seen, tables=True):
                     compared = reconcile(rig, settings.state_directory, restore=False)
             links.append(LinkState(name))
         except VolcalError as error:
@@ -78,12 +78,3 @@ def _asks_only(settings: Settings) -> set[str]:
     """Return the name of the device through which only a person is asked, if there is one: a person is not a link."""
     roles = settings.roles
     return {roles.operator} - {roles.machine, roles.probe, roles.store, roles.thermometer}
-
-
-@contextmanager
-def _opened_to_look(device: LookOnlyDevice, *, tables: bool = False) -> Iterator[None]:
-    device.open_to_look(tables=tables)
-    try:
-        yield
-    finally:
-        device.close()

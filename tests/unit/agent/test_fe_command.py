@@ -353,7 +353,7 @@ def test_results_without_positions_and_files_without_results(tmp_path: Path) -> 
         ("--probe", "here", "is not X,Y,Z"),
         ("--resample", "9x15", "not three numbers of nodes"),
         ("--resample", "100x100x51", "510000 nodes are too many"),
-        ("--figure", "grid.pdf", "ends with .png or .svg"),
+        ("--figure", "grid.jpg", "'grid.jpg' must end with one of .png, .svg, .pdf"),
         ("--machine", "none.toml", "no such file"),
     ],
 )

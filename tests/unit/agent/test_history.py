@@ -28,7 +28,7 @@ from agent.execution.states import RunState
 from agent.history.cached_trends import CachedTrends
 from agent.history.database_url import DatabaseAddress, database_address
 from agent.history.export import as_csv, as_json
-from agent.history.figure import trends_png, trends_svg
+from agent.history.figure import draw_trends, trends_svg
 from agent.history.metrics import metrics_text
 from agent.history.overview import alarms_of, most_relevant, select_trends, trends_of
 from agent.history.series import ACTIVE, BARE, Series, nights_of
@@ -349,7 +349,7 @@ class TestTrends:
     def test_figures(self, state: Path, store: HistoryStore) -> None:
         fed(state, store, [4.8 + 0.4 * night for night in range(10)])
         shown = most_relevant(trends_of(store.runs(), HistorySettings()))
-        assert trends_png(shown).startswith(b"\x89PNG")
+        assert draw_trends(shown).png.startswith(b"\x89PNG")
         assert trends_svg(shown) == trends_svg(shown)
         assert [trend.series.name for trend in shown[:2]] == [BARE, ACTIVE]
 

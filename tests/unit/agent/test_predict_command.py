@@ -102,7 +102,7 @@ def test_the_best_place_is_no_worse_than_another(folder: Path) -> None:
         (["--at", "here"], 2, "'here' is not X,Y,Z in mm"),
         (["--at", "best"], 2, "--height belongs to --at best"),
         (["--at", "1000,500,400", "--height", "3"], 2, "--height belongs to --at best"),
-        (["--at", "1000,500,400", "--map", "places.pdf"], 2, "must end in .png or .svg"),
+        (["--at", "1000,500,400", "--map", "places.jpg"], 2, "'places.jpg' must end with one of .png, .svg, .pdf"),
         (["--at", "1000,500,400", "--table", "missing.csv"], 2, "there is no such file"),
         (["--at", "1000,500,400", "--table", "t.csv", "--no-table"], 2, "exclude each other"),
     ],

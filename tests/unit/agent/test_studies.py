@@ -13,9 +13,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from matplotlib.figure import Figure
 from study_case import study_case
 
+from agent.cli.main import main
+from agent.figures import FIGURE_ENDINGS
 from agent.figures.style import picture
 from agent.files import check_folder
 from agent.planning.case_file import CASE_STUDY, load_case
@@ -149,6 +152,32 @@ class TestFiles:
         drawn = picture("example", line, (4.0, 2.0))
         width, height = (int.from_bytes(drawn.png[at : at + 4], "big") for at in (16, 20))
         assert (width, height) == (600, 300)
+
+    @pytest.mark.parametrize(
+        ("name", "begin"), [("a.png", b"\x89PNG"), ("a.SVG", b"<?xml"), ("a.pdf", b"%PDF-"), ("a.b.PDF", b"%PDF-")]
+    )
+    def test_the_ending_says_the_format(self, name: str, begin: bytes) -> None:
+        drawn, again = (picture("example", line, (4.0, 2.0)).in_format_of(Path(name)) for _ in range(2))
+        content = drawn.encode() if isinstance(drawn, str) else drawn
+        assert content.startswith(begin)
+        assert drawn == again
+
+    def test_an_ending_without_a_format_is_refused(self) -> None:
+        with pytest.raises(InputError, match=r"must end with one of \.png, \.svg, \.pdf"):
+            picture("example", line, (4.0, 2.0)).in_format_of(Path("a.jpg"))
+
+    def test_every_ending_that_an_option_accepts_has_a_format(self) -> None:
+        drawn = picture("example", line, (4.0, 2.0))
+        assert all(drawn.in_format_of(Path(f"a{ending}")) for ending in FIGURE_ENDINGS)
+
+    @pytest.mark.parametrize(
+        "command", ["history trend", "history thermal", "fe import", "fe model", "fe compare", "predict"]
+    )
+    def test_a_figure_of_any_command_is_refused_by_its_ending(self, command: str) -> None:
+        option = "--map" if command == "predict" else "--figure"
+        result = CliRunner().invoke(main, [*command.split(), option, "x.jpg"])
+        assert result.exit_code == 2
+        assert f"Invalid value for '{option}': 'x.jpg' must end with one of .png, .svg, .pdf" in result.stderr
 
 
 class TestCase:

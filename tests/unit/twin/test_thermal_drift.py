@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -250,6 +251,25 @@ class TestNights:
         mean, covariance = found.change([20.0, 20.0], [23.0, np.nan], 0.5)
         assert mean[0] == pytest.approx(6.0, abs=3.0 * np.sqrt(covariance[0, 0]))
         assert mean == pytest.approx([6.0, 0.0], abs=0.4)
+
+    def test_farther_than_a_fifth_of_the_range_outside_is_extrapolated(self) -> None:
+        temperatures = weather(np.random.default_rng(11), NIGHTS, 2)
+        found = explain_thermal_drift(self.nights(temperatures), ("ram", "other"), 25.0 * np.eye(2))
+        lowest, highest = temperatures.min(axis=0), temperatures.max(axis=0)
+        assert found.learned_c == (pytest.approx(lowest), pytest.approx(highest))
+        width = highest - lowest
+        assert found.extrapolated(highest + 0.19 * width) == found.extrapolated(lowest - 0.19 * width) == ()
+        assert found.extrapolated(highest + [0.19, 0.21] * width) == (1,)
+        assert found.extrapolated(lowest - 0.21 * width) == (0, 1)
+        assert found.extrapolated([np.nan, highest[1]]) == ()
+
+    def test_nothing_is_learned_from_a_night_whose_prior_is_not_known(self) -> None:
+        temperatures = weather(np.random.default_rng(11), NIGHTS, 2)
+        nights = self.nights(temperatures)
+        nights[5] = replace(nights[5], parameters=nights[5].parameters + 50.0, separable=False)
+        found = explain_thermal_drift(nights, ("ram", "other"), 25.0 * np.eye(2))
+        assert found.nights.tolist() == [night for night in range(NIGHTS) if night != 5]
+        assert found.coefficients[0][0, 0] == pytest.approx(2.0, abs=0.2)
 
     def test_a_missing_temperature_of_an_explaining_sensor_is_refused(self) -> None:
         temperatures = weather(np.random.default_rng(11), NIGHTS, 2)
