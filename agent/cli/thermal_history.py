@@ -215,7 +215,7 @@ def _show_now(found: MachineNow) -> None:
     )
     if found.temperatures_c:
         readings = ", ".join(f"{name} {value:.2f} °C" for name, value in found.temperatures_c.items())
-        source = "as stated" if found.read_from is None else f"read from the device {found.read_from}"
+        source = "as stated" if found.read_from is None else f"given by the device {found.read_from}"
         console.print(f"temperatures ({source}): {readings}", markup=False)
     shown = columns_table(("state", "VE, µm", "VCE, µm"), whole=("state",), numbers=("VE, µm", "VCE, µm"))
     rows: list[tuple[str, ExpectedErrors | None]] = [

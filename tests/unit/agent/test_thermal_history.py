@@ -269,7 +269,7 @@ class TestNow:
         ram = files.temperatures_c(6)["ram"]
         device.log.clear()
         shown = call(files, "now", *options).stdout
-        assert "temperatures (read from the device twin): air " in shown
+        assert "temperatures (given by the device twin): air " in shown
         assert f"ram {ram:.2f} °C" in shown
 
     @pytest.mark.parametrize(
