@@ -16,6 +16,7 @@ from agent.history.series import CHANGED_MACHINE, nights_of
 from agent.model_files import load_machine
 from agent.planning.expected_walk import expected_walk
 from agent.settings.schema import Settings
+from agent.settings.temperature import why_no_drift_sensor
 from agent.workpiece.estimate_and_table import ESTIMATE_NAME
 from drivers.errors import InputError
 from twin.arrays import Array
@@ -84,15 +85,8 @@ def recorded_sensors(runs: Sequence[StoredRun], settings: Settings, named: Seque
             **place,
         )
     for name in stated:
-        if stated.count(name) > 1:
-            raise InputError(f"the sensor {name!r} is named twice", **place)
-        if name in of_artefact:
-            raise InputError(
-                f"the sensor {name!r} is one of temperature.artefact_sensors: the temperature of the artefact does not "
-                "explain a drift of the machine",
-                hint=f"recorded sensors: {known}",
-                **place,
-            )
+        if reason := why_no_drift_sensor(name, stated, of_artefact):
+            raise InputError(reason, hint=f"recorded sensors: {known}", **place)
         if name not in counts:
             raise InputError(
                 f"no run with an estimate has recorded the sensor {name!r}",

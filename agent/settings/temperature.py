@@ -3,6 +3,7 @@ drift of the machine."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
@@ -12,6 +13,18 @@ from twin.thermal.artefact_temperature import assumed_uncertainty_k
 from twin.units import REFERENCE_TEMPERATURE_C
 
 Sensor = Annotated[str, Field(min_length=1, pattern=r"^[A-Za-z0-9_.-]+$")]
+
+
+def why_no_drift_sensor(name: str, names: Sequence[str], artefact_sensors: Sequence[str]) -> str:
+    """Return why the sensor `name`, one of `names`, cannot explain a drift of the machine; empty if it may."""
+    if names.count(name) > 1:
+        return f"the sensor {name!r} is named twice"
+    if name in artefact_sensors:
+        return (
+            f"the sensor {name!r} is one of temperature.artefact_sensors: the temperature of the artefact does not "
+            "explain a drift of the machine"
+        )
+    return ""
 
 
 class TemperatureSettings(StrictModel):
@@ -72,13 +85,8 @@ class TemperatureSettings(StrictModel):
     @classmethod
     def _each_once_and_of_the_machine(cls, names: list[str], known: ValidationInfo) -> list[str]:
         for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"the sensor {name!r} is named twice")
-            if name in known.data.get("artefact_sensors", ()):
-                raise ValueError(
-                    f"the sensor {name!r} is one of temperature.artefact_sensors: the temperature of the artefact does "
-                    "not explain a drift of the machine"
-                )
+            if reason := why_no_drift_sensor(name, names, known.data.get("artefact_sensors", ())):
+                raise ValueError(reason)
         return names
 
     @model_validator(mode="after")

@@ -198,20 +198,19 @@ class PresentEquipment:
     def check_places(self, stated_mm: tuple[float, ...], tilts_deg: Sequence[float]) -> None:
         """Raise DataError if a bar with balls at the distances `stated_mm` from the first one cannot be made with any
         of the tilts of its holders, because its balls overlap."""
-        apart = 0
+        refusals: list[str] = []
         for tilt_deg in tilts_deg:
             try:
                 self.bar.with_(tilt_deg=tilt_deg, along_mm=stated_places(stated_mm))
             except DataError as error:
-                refused = error
+                refusals.append(error.message)
             else:
-                apart += 1
-        if not apart:
-            raise DataError(
-                refused.message,
-                hint=f"the balls have a diameter of {self.job.artefact.ball_diameter_mm:g} mm; state places that are "
-                "further apart",
-            )
+                return
+        raise DataError(
+            refusals[-1],
+            hint=f"the balls have a diameter of {self.job.artefact.ball_diameter_mm:g} mm; state places that are "
+            "further apart",
+        )
 
     def places_mm(self, variant: ArtefactVariant) -> Array:
         """Return the places (stations, 3) in mm of the mount, evenly spaced along the axis of the stations.
