@@ -30,6 +30,8 @@ _BATCH_LINES = 4096
 _PART_POINTS = 16384
 # The points of one move are kept in memory together, 24 bytes each.
 _MOST_PIECES = 200_000
+# Some 2 GB of text. A short program with loops or long arcs could fill the disk.
+_MOST_POINTS = 50_000_000
 # A nanometre: above the floating-point noise of added offsets, far below any tolerance.
 _OUTSIDE_MM = 1e-6
 _AXIS_BITS = np.array([1, 2, 4])
@@ -177,7 +179,7 @@ class ProgramWriter:
             at += count
 
     def _check_pieces(self, moves: list[MoveBlock], pieces: Indices) -> None:
-        """Refuse moves that must not be divided or need too many pieces; update the counts."""
+        """Refuse moves that must not be divided, need too many pieces or make the program too long; update the counts."""
         for row in np.flatnonzero(pieces > 1).tolist():
             move = moves[row]
             if move.whole:
@@ -186,6 +188,11 @@ class ProgramWriter:
             if pieces[row] > _MOST_PIECES:
                 message = f"the chord error requires {int(pieces[row])} pieces"
                 raise move.source.refusal(message, "Allow a larger chord error")
+        too_long = self.counts.points + np.cumsum(pieces) > _MOST_POINTS
+        if too_long.any():
+            message = f"the corrected program would have more than {_MOST_POINTS} points"
+            hint = "Allow a larger chord error, or divide the program; a loop around this line may be endless"
+            raise moves[int(np.argmax(too_long))].source.refusal(message, hint)
         self.counts.moves += len(moves)
         self.counts.divided += int((pieces > 1).sum())
         self.counts.arcs += len(self._arcs)

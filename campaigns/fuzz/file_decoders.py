@@ -51,6 +51,7 @@ PROGRAMS = (
     HEAD + b"o100 while [#1 LT 30]\n#1 = [#1 + 5]\nG1 X#1\no100 endwhile\no200 if [#1 GT 5]\nG91 G1 X1\no200 endif\n",
 )
 """Short programs, so that most of the time of an input belongs to what was changed in it."""
+MOST_WRITTEN_LINES = 4096
 PART_SETUP = b"""[work_offsets_mm]
 G54 = [100.0, 200.0, 300.0]
 """
@@ -167,8 +168,17 @@ def _scenario_decoder() -> Decoder:
 
 
 def _correct(data: bytes) -> object:
+    """Correct a part program up to some thousand written lines: a short one may ask for millions."""
     lines = data.decode(errors="surrogateescape").splitlines(keepends=True)
-    return correct_program(lines, COARSE_TABLE, SETUP, CorrectionOptions(0.01), lambda _: None)
+    written = 0
+
+    def emit(text: str) -> None:
+        nonlocal written
+        written += text.count("\n")
+        if written > MOST_WRITTEN_LINES:
+            raise InputError(f"the program has more than {MOST_WRITTEN_LINES} lines")
+
+    return correct_program(lines, COARSE_TABLE, SETUP, CorrectionOptions(0.01), emit)
 
 
 def _described_machine() -> MachineDescription:

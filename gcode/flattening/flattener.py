@@ -46,9 +46,11 @@ _SPECIAL = re.compile(
 _ABORT = re.compile(r"\([ \t]*abort\b", re.IGNORECASE)
 _CALL, _RETURN = 980, 990
 _STATE_CODES = frozenset(STATE_CODES)
-# Whether a recursion or a loop ends cannot be known in advance, hence the limits.
+# Whether a recursion or a loop ends cannot be known in advance, hence the limits. Lines that are executed count, and
+# blocks of canned cycles; a long program may execute more than a short one.
 _MOST_CALLS = 100
-_MOST_LINES = 2_000_000
+_MOST_EXECUTED = 2_000_000
+_MOST_EXECUTED_PER_LINE = 20
 _MOST_ARGUMENTS = len(LOCAL_NUMBERS)
 
 
@@ -95,6 +97,7 @@ class Flattener:
         self._cycles = CannedCycles(to_r=None if retract is None else retract == "G99")
         self._calls: list[_Call] = []
         self._known: dict[str, tuple[ControlFlow, int]] = {}
+        self._lines = 0
         self._executed = 0
         self._percent = False
 
@@ -102,6 +105,7 @@ class Flattener:
         """Yield the plain blocks of a part program. Raises FormatError for a line that cannot be executed."""
         numbered = enumerate(lines, start=1)
         for number, text in numbered:
+            self._lines = number
             source = SourceLine(number, text.rstrip("\r\n"))
             if not self._cycles.active and _SPECIAL.search(source.text) is None:
                 self._percent |= source.text.startswith("%")
@@ -109,6 +113,7 @@ class Flattener:
             elif self._jumps(source):
                 # Line numbers continue, because `numbered` is the same iterator.
                 rest = [source, *(SourceLine(later, line.rstrip("\r\n")) for later, line in numbered)]
+                self._lines = rest[-1].number
                 yield from self._run(rest)
                 return
             else:
@@ -225,6 +230,7 @@ class Flattener:
         for _ in range(times if one_by_one else 1):
             words = cartesian(own, source, self._modal)
             for text in self._cycles.run(words, 1 if one_by_one else times, source, self._modal):
+                self._count(source)
                 yield PlainBlock(source, text)
 
     def _statement(self, source: SourceLine) -> Statement:
@@ -235,10 +241,15 @@ class Flattener:
             self._parameters.assign(key, value, statement.source)
 
     def _count(self, source: SourceLine) -> None:
+        """Count a line that is executed, or a block of a canned cycle."""
         self._executed += 1
-        if self._executed > _MOST_LINES:
-            message = f"more than {_MOST_LINES} lines were executed, and the program is still running here"
-            source.refuse(message, "A loop around this line may be endless")
+        if self._executed > _MOST_EXECUTED + _MOST_EXECUTED_PER_LINE * self._lines:
+            message = (
+                f"{self._executed - 1} lines and blocks of canned cycles were executed, more than a program of"
+                f" {self._lines} lines may have, and the program is still running here"
+            )
+            hint = "A loop around this line may be endless, or a canned cycle have too many repetitions"
+            source.refuse(message, hint)
 
     def _control(self, call: _Call, index: int, control: OWord, source: SourceLine) -> None:
         keyword, section = control.keyword, call.section
@@ -394,6 +405,6 @@ class Flattener:
             message = f"the subprogram {label} is not in this program, and there is no file {label}.ngc beside it"
             source.refuse(message, "Copy it into the folder of the program")
         name = f"{label}.ngc"
-        return ControlFlow.of(
-            [SourceLine(number, text.rstrip("\r\n"), name) for number, text in enumerate(lines, start=1)]
-        )
+        read = [SourceLine(number, text.rstrip("\r\n"), name) for number, text in enumerate(lines, start=1)]
+        self._lines += len(read)
+        return ControlFlow.of(read)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gcode import writer
 from gcode.correction import correct_program
 from gcode.correction_summary import CorrectionSummary
 from gcode.setup import CorrectionOptions, PartSetup
@@ -275,6 +276,14 @@ def test_rapid_moves_are_divided_only_if_asked_for() -> None:
 def test_a_chord_error_that_asks_for_too_many_pieces_is_refused() -> None:
     with pytest.raises(FormatError, match="pieces"):
         run(START + "G2 I200 P10000\n", max_chord_error_mm=1e-6, decimals=8)
+
+
+def test_a_corrected_program_that_would_become_too_long_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(writer, "_MOST_POINTS", 10_000)
+    loop = "o1 while [1]\nG2 I50\no1 endwhile\n"
+    with pytest.raises(FormatError, match=r"more than 10000 points.*G2 I50") as error:
+        run(START + loop)
+    assert error.value.where == {"line": "3"}
 
 
 def test_memory_does_not_grow_with_the_program() -> None:

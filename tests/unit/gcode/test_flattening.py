@@ -195,7 +195,10 @@ def test_canned_cycles_become_moves() -> None:
 @pytest.mark.parametrize(
     ("program", "reason"),
     [
-        ("o1 while [1]\no1 endwhile", "more than 5000 lines were executed.*line [12]"),
+        ("o1 while [1]\no1 endwhile", "5040 lines and blocks of canned cycles were executed.*of 2 lines.*line [12]"),
+        ("o1 while [1]\nG99 G81 Z-1 R0 L1000\no1 endwhile", "5060 lines and blocks.*of 3 lines.*line 2"),
+        ("G99 G81 Z-1 R0 L10000", "5020 lines and blocks.*of 1 lines.*line 1"),
+        ("G99 G83 Z-1 R0 Q0.0001 L9", "5020 lines and blocks.*line 1"),
         ("o1 sub\no1 call\no1 endsub\no1 call", "more than 100 deep"),
         ("o1 if [1]\nM2", "not closed.*line 1"),
         ("o1 if [1]\no2 endif", "no open o<2> if.*line 2"),
@@ -230,10 +233,24 @@ def test_canned_cycles_become_moves() -> None:
 def test_what_cannot_be_executed_is_refused_with_its_line(
     program: str, reason: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(flattener, "_MOST_LINES", 5000)
+    monkeypatch.setattr(flattener, "_MOST_EXECUTED", 5000)
     with pytest.raises(FormatError, match=f"(?s){reason}") as error:
         flat(program)
     assert "line" in error.value.where
+
+
+@pytest.mark.parametrize("in_file", [False, True])
+def test_a_long_program_may_execute_more_than_a_short_one(in_file: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(flattener, "_MOST_EXECUTED", 50)
+    loop = "o2 repeat [50]\nG99 G81 X1 Z-1 R0\no2 endrepeat"
+    comments = "\n".join(["(a long program)"] * 10)
+    with pytest.raises(FormatError, match="lines and blocks"):
+        flat(f"G61\n{loop}\nM2")
+    if in_file:
+        blocks = flat("G61\no<a> call\nM2", files={"a": f"o<a> sub\n{comments}\n{loop}\no<a> endsub"})
+    else:
+        blocks = flat(f"G61\n{comments}\n{loop}\nM2")
+    assert blocks.count("G1 Z-1.000") == 50
 
 
 def test_an_error_in_a_subprogram_file_names_the_file_and_its_line() -> None:
