@@ -179,7 +179,8 @@ class ProgramWriter:
             at += count
 
     def _check_pieces(self, moves: list[MoveBlock], pieces: Indices) -> None:
-        """Refuse moves that must not be divided, need too many pieces or make the program too long; update the counts."""
+        """Refuse moves that must not be divided, need too many pieces, or make the program too long. Update the
+        counts."""
         for row in np.flatnonzero(pieces > 1).tolist():
             move = moves[row]
             if move.whole:
