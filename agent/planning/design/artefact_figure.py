@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from agent.figures.style import BLUE, GREEN, INK, ORANGE, QUIET, from_zero
-from agent.planning.design.artefact_design import ArtefactDesign, DesignedVariant
-from agent.planning.design.pareto_front import FrontPoint
+from agent.planning.design.artefact_design import ArtefactDesign
+from agent.planning.design.pareto_figure import MINUTES_ADDED
+from agent.planning.design.pareto_front import FrontPoint, grown_front
 
 FIGURE_SIZE_IN = (10.5, 4.4)
 _NUMBERS = 6  # of positions, written at a front
-_ROOM_ABOVE = 1.3  # of the panel against time, for its legend
+_PRESENT: dict[str, Any] = {"linestyle": "", "marker": "D", "color": GREEN, "markersize": 8}
+_BEST: dict[str, Any] = {"linestyle": "", "marker": "s", "color": ORANGE, "markersize": 8}
+_ROOM_ABOVE = 1.45  # of the panel against time, for its legend
 _LARGEST_OVER_FRONT = 3.0  # variants with an error of more than this multiple of the least are above the panel
 
 
@@ -26,15 +30,18 @@ def draw_artefact_design(figure: Figure, found: ArtefactDesign, slot_minutes: fl
 
 
 def _draw_minutes(axes: Axes, found: ArtefactDesign, slot_minutes: float) -> None:
-    shown: list[tuple[str, str, DesignedVariant]] = [("best found", BLUE, found.best)]
+    shown = [("best found", BLUE, _BEST, found.best)]
     if found.present.design is not None and found.present.variant != found.best.variant:
-        shown.append(("present artefact and mount", GREEN, found.present))
-    for above, (label, colour, one) in enumerate(shown):
-        front = [point for point in one.result.front if point.best]
-        axes.plot([p.minutes for p in front], [p.vce_um for p in front], "-o", color=colour, label=label)
+        shown.append(("present", GREEN, _PRESENT, found.present))
+    for above, (label, colour, style, one) in enumerate(shown):
+        front = grown_front(one.result.front)
+        minutes, vce_um = [p.minutes for p in front], [p.vce_um for p in front]
+        axes.plot(minutes, vce_um, "-o", color=colour, markersize=4, label=f"{label}, front")
         _number(axes, front, colour, above=bool(above))
+        for point in (point for point in one.result.front if point.design):
+            axes.plot(point.minutes, point.vce_um, **style, label=f"{label}, designed: {point.positions} positions")
     axes.axvline(slot_minutes, color=INK, linewidth=0.8, linestyle=":", label=f"slot of {slot_minutes:g} min")
-    axes.set_xlabel("machine time of the whole run / min")
+    axes.set_xlabel(f"machine time of the whole run / min (fronts: {MINUTES_ADDED})")
     axes.set_title("Expected VCE against machine time (numbers: positions)")
     axes.set_xlim(left=0.0)
     from_zero(axes, "expected VCE, rigidly aligned / µm")
@@ -62,12 +69,12 @@ def _draw_euro(axes: Axes, found: ArtefactDesign, budget_euro: float) -> None:
     )
     front = found.euro_front
     axes.plot([p.purchase_euro for p in front], [p.vce_um for p in front], "-o", color=BLUE, label="their Pareto front")
-    for label, colour, marker, one in (
-        ("present, designed", GREEN, "D", found.present),
-        ("best found, designed", ORANGE, "s", found.best),
+    for label, style, one in (
+        ("present, designed", _PRESENT, found.present),
+        ("best found, designed", _BEST, found.best),
     ):
         if one.design is not None:
-            axes.plot(one.purchase_euro, one.vce_um, marker, color=colour, markersize=8, label=label)
+            axes.plot(one.purchase_euro, one.vce_um, **style, label=label)
     axes.axvline(budget_euro, color=INK, linewidth=0.8, linestyle=":", label=f"budget of {budget_euro:g} €")
     axes.set_xlabel("purchase / €")
     axes.set_title("Expected VCE in this slot against purchase")

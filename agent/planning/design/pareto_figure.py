@@ -1,7 +1,9 @@
 """Figure of the Pareto front of position sets: expected volumetric error after compensation (VCE) against machine
 minutes.
 
-The figure also shows the designed position set, and existing position sets for comparison (reference sets).
+The figure also shows the designed position set, and existing position sets for comparison (reference sets). Their
+machine time is that of the whole run. The sets of the front grow position by position, and the minutes of their
+positions are added, so that the designed set may lie beside the front.
 """
 
 from __future__ import annotations
@@ -12,7 +14,10 @@ from dataclasses import dataclass
 from matplotlib.figure import Figure
 
 from agent.figures.style import BLUE, GREEN, INK, ORANGE, from_zero
-from agent.planning.design.pareto_front import FrontPoint
+from agent.planning.design.pareto_front import FrontPoint, grown_front
+
+MINUTES_ADDED = "minutes of the positions added"
+"""Words for the machine time of the sets of a front."""
 
 
 @dataclass(frozen=True)
@@ -29,8 +34,9 @@ def draw_front(figure: Figure, points: Sequence[FrontPoint], rivals: Sequence[Re
     position sets `rivals` for comparison.
     """
     axes = figure.subplots()
-    best = [point for point in points if point.best]
-    axes.plot([p.minutes for p in best], [p.vce_um for p in best], "-o", color=BLUE, label="Pareto front of the design")
+    best = grown_front(points)
+    label = f"Pareto front, {MINUTES_ADDED}"
+    axes.plot([p.minutes for p in best], [p.vce_um for p in best], "-o", color=BLUE, label=label)
     for point in best[:: max(1, len(best) // 8)]:
         axes.annotate(
             f"{point.positions}", (point.minutes, point.vce_um), (3, 5), textcoords="offset points", color=BLUE

@@ -38,7 +38,7 @@ def front_of(search: ExchangeSearch, chosen: Sequence[int], minutes: float) -> t
 
     The evaluated sets grow one position at a time: each set adds to the previous set the position that reduces the
     expected error most per minute. The designed set consists of the candidates of `search` with the indices `chosen`
-    and takes `minutes`.
+    and takes `minutes`. Those of the evaluated sets are the minutes of their positions added.
     """
     candidates = search.candidates
     before = candidates.before.aligned_um
@@ -57,6 +57,11 @@ def front_of(search: ExchangeSearch, chosen: Sequence[int], minutes: float) -> t
         front.append(FrontPoint(count, taken, vce, 100.0 * (1.0 - vce / before), vce < lowest, design))
         lowest = min(lowest, vce)
     return tuple(front)
+
+
+def grown_front(points: Sequence[FrontPoint]) -> list[FrontPoint]:
+    """Return the points of the Pareto front without the designed set, whose minutes are determined otherwise."""
+    return [point for point in points if point.best and not point.design]
 
 
 def format_front(points: Sequence[FrontPoint], machine: str, artefact: str) -> str:
