@@ -5,7 +5,7 @@ it, and the machine now.
 from __future__ import annotations
 
 import json
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -134,7 +134,8 @@ def now_command(
     """Estimate the machine now: last estimate, temperatures, and positions.
 
     Writes predicted.json, and with positions estimate.json, which are estimates like that of a run. Without
-    --temperature, the thermometer is read; nothing moves, and nothing is written to the machine.
+    --temperature, the thermometer is read, by the service if it runs; nothing moves, and nothing is written to the
+    machine.
     """
     from agent.history.sensor_drift import sensor_drift  # noqa: PLC0415  mathematics that the list of runs needs not
     from agent.runs.offline.machine_now import NowRequest, machine_now  # noqa: PLC0415
@@ -144,10 +145,11 @@ def now_command(
     with opened_history(config) as (settings, store):
         drift = sensor_drift(store.runs(store.address.machine), settings, sensors)
     if drift.found.taken and not temperatures and at is None:
-        from agent.runs.offline.thermometer_now import temperatures_now  # noqa: PLC0415  drivers, which others need not
+        from agent.cli.temperatures_now import temperatures_now  # noqa: PLC0415  drivers, which others need not
 
         with naming(config):
-            temperatures, read_from = temperatures_now(settings, config.resolve().parent), settings.roles.thermometer
+            temperatures, age_s = temperatures_now(settings, config.resolve().parent)
+        read_from, moment = settings.roles.thermometer, moment - timedelta(seconds=age_s)
     found = machine_now(drift, settings, NowRequest(temperatures, moment, out, balls, read_from))
     if as_json_object:
         click.echo(json.dumps(found.as_json(), allow_nan=False))

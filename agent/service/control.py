@@ -89,6 +89,8 @@ class Status:
     - `active_bank` is the bank that the controller was last seen to apply. It is None if it is not known;
       `read_problem` then says why the controller could not be read.
     - `read_age_s` is the time in s since it was read between runs; None if it never was, or while a run is in progress.
+    - `temperatures_c` are the readings of the thermometer in °C by sensor, and `temperatures_age_s` is the time in s
+      since they were read between runs; none and None if they never were, or while a run is in progress.
     - `links` says of each device whether it answered when it was last asked, or why it is not read between runs.
     - `receivers` says of each channel of the notifications how many notices wait, whether it delivers everything, only
       in part or nothing, and since when and why not everything.
@@ -121,6 +123,8 @@ class Status:
     active_bank: int | None = None
     read_age_s: float | None = None
     read_problem: str = ""
+    temperatures_c: Mapping[str, float] = field(default_factory=dict)
+    temperatures_age_s: float | None = None
     links: tuple[LinkState, ...] = ()
     receivers: tuple[ReceiverState, ...] = ()
     written_not_active: int | None = None

@@ -8,7 +8,7 @@ cannot be right, not what is unusual.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +28,11 @@ LEAST_RANGE_SIGMAS = 4.0
 LOWEST_C, HIGHEST_C = -30.0, 90.0
 """Range in °C of the readings of a sensor of a machine; others are no readings."""
 _UNCHANGED_K = 1e-9
+
+
+def plausible_readings(readings_c: Mapping[str, float]) -> dict[str, float]:
+    """Return those of the readings in °C by sensor that a sensor of a machine can give."""
+    return {sensor: float(value) for sensor, value in readings_c.items() if LOWEST_C <= value <= HIGHEST_C}
 
 
 @dataclass(frozen=True)

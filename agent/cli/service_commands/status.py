@@ -66,6 +66,9 @@ def _rows(status: Mapping[str, Any]) -> list[tuple[str, str]]:
         rows.append(("active bank", str(status["active_bank"])))
     if status["written_not_active"] is not None:
         rows.append(("written, not active", f"bank {status['written_not_active']}"))
+    if status.get("temperatures_c"):  # not of a service of an earlier version
+        readings = ", ".join(f"{sensor} {value:.2f} °C" for sensor, value in status["temperatures_c"].items())
+        rows.append(("temperatures", f"{readings}; read {status['temperatures_age_s']:.0f} s ago"))
     if status["unfinished"]:
         rows.append(("interrupted run", f"{status['unfinished']}; `volcal resume` resumes it"))
     if status["question"]:

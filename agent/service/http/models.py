@@ -231,6 +231,8 @@ class StatusView(BaseModel):
     active_bank: int | None
     read_age_s: float | None
     read_problem: str
+    temperatures_c: dict[str, float]
+    temperatures_age_s: float | None
     links: list[LinkView]
     receivers: list[ReceiverView]
     written_not_active: int | None

@@ -110,6 +110,7 @@ class StatusBoard:
     now: Callable[[], float] = field(default_factory=lambda: RealClock().now)
     kept: IdleAlarms | None = None
     _read_at_s: float | None = None
+    _temperatures_at_s: float | None = None
     _unexpected: bool = False
     _of_endpoints: tuple[Alarm, ...] = ()
     _of_comparisons: tuple[Alarm, ...] = ()
@@ -131,10 +132,19 @@ class StatusBoard:
         may = allowed_in(
             now.state, unfinished=unfinished, question_open=question_open, unproved=unproved, alarm_open=alarm_open
         )
-        read_at_s, at_rest = self._read_at_s, now.state in AT_REST
-        age_s = None if read_at_s is None or not at_rest else max(self.now() - read_at_s, 0.0)
+        at_rest = now.state in AT_REST
         known = now.active_bank is not None and not self._unexpected
-        return replace(now, may=may, read_age_s=age_s, ve_now_um=now.ve_now_um if known or not at_rest else None)
+        return replace(
+            now,
+            may=may,
+            read_age_s=self._age_s(self._read_at_s) if at_rest else None,
+            temperatures_c=now.temperatures_c if at_rest else {},
+            temperatures_age_s=self._age_s(self._temperatures_at_s) if at_rest else None,
+            ve_now_um=now.ve_now_um if known or not at_rest else None,
+        )
+
+    def _age_s(self, read_at_s: float | None) -> float | None:
+        return None if read_at_s is None else max(self.now() - read_at_s, 0.0)
 
     # ------------------------------------------------------------------ between runs
 
@@ -171,6 +181,9 @@ class StatusBoard:
     def show_reading(self, reading: ControllerReading) -> None:
         """Show what the devices said between two runs."""
         self._change(links=reading.links)
+        if reading.temperatures_c:
+            self._temperatures_at_s = self.now()
+            self._change(temperatures_c=reading.temperatures_c)
         if reading.compared is not None:
             self.show_reconciliation(reading.compared)
         elif reading.problem or (reading.active_bank is not None and self._status.active_bank is not None):
@@ -243,7 +256,9 @@ class StatusBoard:
         """Show a run that begins now. `by` is the name of who asked for it if it is known."""
         self._end_alarms(tuple(alarm for alarm in self._status.alarms if alarm not in self._of_endpoints))
         self._of_comparisons = self._acknowledged = ()
+        self._temperatures_at_s = None
         self._change(
+            temperatures_c={},
             ve_now_um=self.status().ve_now_um,  # not that of a table which the controller had lost before
             run_id=run_id,
             kind=kind,

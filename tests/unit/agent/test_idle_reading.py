@@ -372,10 +372,21 @@ class LookedAt(Device):
             raise self.error
 
 
-def read(store: Any, *, compare: bool = False, state: Path = Path(), **devices: Device) -> ControllerReading:
+def temperatures(**readings_c: float) -> SimpleNamespace:
+    return SimpleNamespace(temperatures_c=lambda: readings_c)
+
+
+def read(
+    store: Any,
+    *,
+    compare: bool = False,
+    state: Path = Path(),
+    thermometer: SimpleNamespace = temperatures(),  # noqa: B008  it is never changed
+    **devices: Device,
+) -> ControllerReading:
     cnc = dict.fromkeys(("machine", "probe", "store", "thermometer"), "cnc")
     roles = SimpleNamespace(**cnc, operator="console")
-    rig = cast(Rig, SimpleNamespace(devices=devices, store=store))
+    rig = cast(Rig, SimpleNamespace(devices=devices, store=store, thermometer=thermometer))
     settings = cast(Any, SimpleNamespace(roles=roles, state_directory=state))
     return read_controller(rig, settings, lambda *_: compare)
 
@@ -409,6 +420,38 @@ def test_a_device_that_cannot_be_looked_at_stays_closed_and_what_is_known_of_its
     shown.show_reading(found)
     now = shown.status()
     assert (now.active_bank, now.read_age_s, now.read_problem, now.links) == (2, 30.0, "", found.links)
+
+
+def test_the_thermometer_is_read_too_and_only_what_a_machine_can_have_is_a_reading() -> None:
+    shown = {"column": 21.5, "open wire": float("nan"), "kelvin": 294.6}
+    found = read(Store(2), cnc=LookedAt(), thermometer=temperatures(**shown))
+    assert found == ControllerReading((LinkState("cnc"),), 2, temperatures_c={"column": 21.5})
+
+
+def test_a_thermometer_that_does_not_answer_is_a_problem_of_its_link_alone() -> None:
+    def silent() -> dict[str, float]:
+        raise LinkLost("register 12: no answer")
+
+    found = read(Store(2), cnc=LookedAt(), thermometer=SimpleNamespace(temperatures_c=silent))
+    assert found == ControllerReading((LinkState("cnc", "register 12: no answer"),), 2)
+
+
+def test_temperatures_are_shown_with_their_age_between_runs_only() -> None:
+    clock = VirtualClock()
+    shown = board(clock)
+    assert (shown.status().temperatures_c, shown.status().temperatures_age_s) == ({}, None)
+    shown.show_reading(ControllerReading(LINKS, 1, temperatures_c={"column": 21.5}))
+    clock.sleep(4.0)
+    shown.show_reading(ControllerReading(LINKS, 1))  # the thermometer did not answer
+    now = shown.status()
+    assert (now.temperatures_c, now.temperatures_age_s) == ({"column": 21.5}, 4.0)
+    shown.begin_run("20260314T030000Z-0000", "verify", "page", None)
+    shown.enter(RunState.PREFLIGHT, "")
+    assert (shown.status().temperatures_c, shown.status().temperatures_age_s) == ({}, None)
+    shown.enter(RunState.COMPLETE, "")
+    assert shown.status().temperatures_age_s is None  # before the next reading
+    shown.show_reading(ControllerReading(LINKS, 1, temperatures_c={"column": 23.0}))
+    assert (shown.status().temperatures_c, shown.status().temperatures_age_s) == ({"column": 23.0}, 0.0)
 
 
 def test_a_store_that_fails_in_mid_reading_leaves_nothing_known() -> None:

@@ -5,17 +5,19 @@ from __future__ import annotations
 import json
 import shutil
 import sqlite3
+from datetime import timedelta
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from agent.cli import thermal_history
+from agent.cli import temperatures_now, thermal_history
 from agent.cli.history import history_group
-from agent.execution.run_lock import run_lock
-from agent.runs.offline import thermometer_now
+from agent.execution.run_lock import ownership, run_lock
+from agent.runs.offline import thermometer_reading
 from campaigns.foreign.score import true_error_um
 from campaigns.sensors.season_files import SeasonFiles, run_id, write_season
 from twin.formats.estimate_file import parse_estimate
@@ -82,6 +84,23 @@ class LookedAtThermometer:
     def temperatures_c(self) -> dict[str, float]:
         assert self.log == ["look"]
         return self.readings
+
+
+class ToldClient:
+    """Client of a service that answers with `told`."""
+
+    def __init__(self, told: dict[str, Any], _settings: object) -> None:
+        self.told = told
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def get(self, path: str) -> dict[str, Any]:
+        assert path == "/api/status"
+        return self.told
 
 
 class TestThermal:
@@ -256,7 +275,7 @@ class TestNow:
         self, files: SeasonFiles, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         device = LookedAtThermometer({**files.temperatures_c(6), "spindle": 30.0, "broken": float("nan")})
-        monkeypatch.setattr(thermometer_now, "create_device", lambda *_: device)
+        monkeypatch.setattr(thermometer_reading, "create_device", lambda *_: device)
         monkeypatch.setattr(thermal_history, "utc_timestamp", lambda: files.at(6).isoformat())
         options = ("--out", files.folder / "now")
         found = called(files, "now", *options)
@@ -283,7 +302,7 @@ class TestNow:
         self, files: SeasonFiles, monkeypatch: pytest.MonkeyPatch, device: dict[str, Any], expected: str, code: int
     ) -> None:
         found = LookedAtThermometer(device.get("readings", {}), device.get("look", ""))
-        monkeypatch.setattr(thermometer_now, "create_device", lambda *_: found)
+        monkeypatch.setattr(thermometer_reading, "create_device", lambda *_: found)
         monkeypatch.setattr(thermal_history, "utc_timestamp", lambda: files.at(6).isoformat())
         result = call(files, "now", "--out", files.folder / "now")
         assert result.exit_code == code, result.output
@@ -294,12 +313,50 @@ class TestNow:
         self, files: SeasonFiles, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         device = LookedAtThermometer(files.temperatures_c(6))
-        monkeypatch.setattr(thermometer_now, "create_device", lambda *_: device)
+        monkeypatch.setattr(thermometer_reading, "create_device", lambda *_: device)
         with run_lock(files.folder / "state", "20260314T030000Z-0000"):
             result = call(files, "now", "--out", files.folder / "now")
         assert "the machine is owned by run 20260314T030000Z-0000" in result.stderr
         assert "--temperature" in result.stderr
         assert device.log == []
+
+    def test_the_temperatures_of_a_machine_of_the_service_are_those_it_has_read(
+        self, files: SeasonFiles, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        told = {"temperatures_c": {**files.temperatures_c(6), "open wire": 850.0}, "temperatures_age_s": 1800.0}
+        monkeypatch.setattr(temperatures_now, "Client", partial(ToldClient, told))
+        now = files.at(6) + timedelta(seconds=8.0)
+        monkeypatch.setattr(thermal_history, "utc_timestamp", now.isoformat)
+        options = ("--out", files.folder / "now")
+        with ownership(files.folder / "state", "the service"):
+            message = call(files, "now", *options).stderr
+            assert "the machine is owned by the service" in message  # half an hour ago is not now
+            told["temperatures_age_s"] = 8.0
+            found = called(files, "now", *options)
+        assert found["temperatures_from"] == "twin"
+        assert found["temperatures_c"] == pytest.approx(files.temperatures_c(6))
+        stated = called(files, "now", "--at", files.at(6).isoformat(), *options, *readings(files, 6))
+        assert stated["age_days"] == found["age_days"]
+        assert stated["errors"] == found["errors"]
+
+    @pytest.mark.parametrize(
+        "told",
+        [
+            {},
+            {"temperatures_c": {}, "temperatures_age_s": None},
+            {"temperatures_c": {"air": "warm"}, "temperatures_age_s": 1.0},
+            {"temperatures_c": {"air": 20.0}, "temperatures_age_s": -1.0},
+            {"temperatures_c": [20.0], "temperatures_age_s": 1.0},
+        ],
+    )
+    def test_a_service_without_a_reading_of_now_owns_the_machine(
+        self, files: SeasonFiles, monkeypatch: pytest.MonkeyPatch, told: dict[str, Any]
+    ) -> None:
+        monkeypatch.setattr(temperatures_now, "Client", partial(ToldClient, told))
+        with ownership(files.folder / "state", "the service"):
+            result = call(files, "now", "--out", files.folder / "now")
+        assert "the machine is owned by the service" in result.stderr
+        assert "--temperature" in result.stderr
 
     def test_the_last_estimate_is_moved_even_if_nothing_is_learned_from_it(self, files: SeasonFiles) -> None:
         (files.folder / "state" / run_id(NIGHTS - 2) / "estimate.json").unlink()

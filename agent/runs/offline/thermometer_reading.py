@@ -14,12 +14,12 @@ from agent.settings.schema import Settings
 from drivers.errors import CommandRejected
 from drivers.registry import DeviceContext, create_device
 from drivers.roles import LookOnlyDevice, Thermometer
-from twin.monitoring.sensor_screening import HIGHEST_C, LOWEST_C
+from twin.monitoring.sensor_screening import plausible_readings
 
 _HINT = "state the temperatures with --temperature"
 
 
-def temperatures_now(settings: Settings, base: Path) -> dict[str, float]:
+def read_thermometer(settings: Settings, base: Path) -> dict[str, float]:
     """Return the readings in °C by sensor of the device that is the thermometer according to `settings`. Readings that
     no sensor of a machine gives are left out. `base` is the folder to which paths in the settings refer.
 
@@ -37,8 +37,7 @@ def temperatures_now(settings: Settings, base: Path) -> dict[str, float]:
         if reason := device.why_no_look():
             raise _unread(reason, name)
         with opened_to_look(device):
-            readings = thermometer.temperatures_c()
-    return {sensor: float(value) for sensor, value in readings.items() if LOWEST_C <= value <= HIGHEST_C}
+            return plausible_readings(thermometer.temperatures_c())
 
 
 @contextmanager
