@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TypeGuard
 
 from agent.errors import Busy
 from agent.runs.offline.thermometer_reading import read_thermometer
@@ -45,5 +45,5 @@ def _told_by_service(settings: Settings) -> tuple[dict[str, float], float] | Non
     return (plausible_readings(readings), float(age_s)) if 0.0 <= age_s <= LONGEST_AGE_S else None
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: object) -> TypeGuard[float]:
     return isinstance(value, int | float) and not isinstance(value, bool)
