@@ -245,8 +245,8 @@ class Flattener:
         self._executed += 1
         if self._executed > _MOST_EXECUTED + _MOST_EXECUTED_PER_LINE * self._lines:
             message = (
-                f"{self._executed - 1} lines and blocks of canned cycles were executed, more than a program of"
-                f" {self._lines} lines may have, and the program is still running here"
+                f"{self._executed - 1} lines and blocks of canned cycles were executed, the most for a program of"
+                f" {self._lines} lines, and the program is still running here"
             )
             hint = "A loop around this line may be endless, or a canned cycle have too many repetitions"
             source.refuse(message, hint)

@@ -134,12 +134,13 @@ class StatusBoard:
         )
         at_rest = now.state in AT_REST
         known = now.active_bank is not None and not self._unexpected
+        temperatures_age_s = self._age_s(self._temperatures_at_s) if at_rest else None
         return replace(
             now,
             may=may,
             read_age_s=self._age_s(self._read_at_s) if at_rest else None,
-            temperatures_c=now.temperatures_c if at_rest else {},
-            temperatures_age_s=self._age_s(self._temperatures_at_s) if at_rest else None,
+            temperatures_c={} if temperatures_age_s is None else now.temperatures_c,
+            temperatures_age_s=temperatures_age_s,
             ve_now_um=now.ve_now_um if known or not at_rest else None,
         )
 
@@ -258,7 +259,6 @@ class StatusBoard:
         self._of_comparisons = self._acknowledged = ()
         self._temperatures_at_s = None
         self._change(
-            temperatures_c={},
             ve_now_um=self.status().ve_now_um,  # not that of a table which the controller had lost before
             run_id=run_id,
             kind=kind,
