@@ -5,8 +5,8 @@
 The machine is simulated and is reached over Modbus TCP and CAN. Of ten runs one is a calibration, four are
 verifications, one is aborted while it measures, and reset, and four activate a stored table: that from before the last
 calibration that wrote one, and then that of this calibration, twice. After each run clients read what the page reads,
-and an event stream is opened and dropped. All runs but the latest are compacted. With --minutes no run begins after so
-many minutes of wall time, but for the first ten.
+and the report of the run if it is complete, and an event stream is opened and dropped. All runs but the latest are
+compacted. With --minutes no run begins after so many minutes of wall time, but for the first ten.
 
 The output ends with one line of JSON. The exit code is 0 only if memory, file handles and threads do not grow with the
 number of runs, every run has ended as it should, old runs were compacted and have their reports and tables, the machine
@@ -114,7 +114,9 @@ def _run(host: ServiceHost, number: int, wrote: list[str]) -> Row:
     state = host.at_rest(run_id)["state"]
     if state in ("aborted", "faulted"):
         host.post("/api/reset").raise_for_status()
-    host.read((*READ_AFTER_A_RUN, f"/api/runs/{run_id}"))
+    # Without a pause between the runs, their reports would be rendered ever later, until the service is stopped.
+    report = () if aborted else (f"/api/runs/{run_id}/report",)
+    host.read((*READ_AFTER_A_RUN, f"/api/runs/{run_id}", *report))
     if kind == "calibrate":
         kept = host.get("/api/tables")["kept"]
         if any((one["run_id"], one["role"]) == (run_id, "staged") for one in kept):

@@ -15,6 +15,7 @@ import pytest
 from drivers.errors import ConfigurationError
 from drivers.roles import Permission
 from simulators.scenario import Scenario, read_scenario
+from simulators.wire.grbl.blocks import BlockError, BlockParser, WorkOffsets
 from simulators.wire.grbl.controller import GrblController
 from simulators.wire.grbl.dialect import GRBL_11, GRBL_HAL, GrblDialect
 from simulators.wire.grbl.settings import GrblSettings
@@ -84,12 +85,18 @@ def test_one_answer_for_each_line_also_for_an_empty_one(grbl: Terminal) -> None:
         (b"=", 1), (b"G", 2), (b"G1.2.3", 1), (b"$Q", 3), (b"$130=-1", 4), (b"$0=1", 6), (b"G99", 20), (b"G2X1", 20),
         (b"G0G1X-1", 21), (b"G1X-1", 22), (b"G1X-1X-2F100", 25), (b"G38.3F100", 26), (b"N0", 27), (b"G4", 28),
         (b"G53G80X-1", 30), (b"G80X-1", 31), (b"G38.3X-4000F100", 33), (b"P1", 36), (b"G43.1X1", 37),
-        (b"G" + b"1" * 80, 11), (b"$999=1", 3), (b"$13=abc", 2),
+        (b"G" + b"1" * 80, 11), (b"$999=1", 3), (b"$13=abc", 2), (b"T256", 38), (b"T-1", 4), (b"F-100", 4),
     ],
 )  # fmt: skip
 def test_each_error_has_its_number(grbl: Terminal, line: bytes, code: int) -> None:
     assert grbl.type(line + b"\n") == [f"error:{code}"]
     assert grbl.type(b"?")[0].startswith("<Idle|")
+
+
+def test_a_tool_number_that_no_controller_has_is_refused_however_long() -> None:
+    with pytest.raises(BlockError) as error:
+        BlockParser(WorkOffsets()).read("T" + "9" * 400, (0.0, 0.0, 0.0))
+    assert error.value.code == 38
 
 
 def test_offset_comes_first_after_a_reset_overrides_next_then_seldom(grbl: Terminal) -> None:

@@ -16,14 +16,15 @@ from typing import Final
 
 import numpy as np
 
-EXPECTED_LETTER, BAD_NUMBER, UNSUPPORTED, MODAL_VIOLATION = 1, 2, 20, 21
+EXPECTED_LETTER, BAD_NUMBER, NEGATIVE, UNSUPPORTED, MODAL_VIOLATION = 1, 2, 4, 20, 21
 UNDEFINED_FEED, REPEATED, NO_AXIS_WORDS = 22, 25, 26
 LINE_NUMBER, VALUE_MISSING, UNSUPPORTED_COORDINATES, G53_MODE, AXIS_WORDS_UNUSED = 27, 28, 29, 30, 31
-INVALID_TARGET, UNUSED_WORDS, LENGTH_AXIS = 33, 36, 37
+INVALID_TARGET, UNUSED_WORDS, LENGTH_AXIS, TOOL_TOO_LARGE = 33, 36, 37, 38
 INVALID_JOG = 16
 
 MM_PER_INCH: Final = 25.4
 LARGEST_LINE_NUMBER: Final = 9_999_999
+LARGEST_TOOL: Final = 255  # MAX_TOOL_NUMBER: an unsigned number of 8 bits
 AXES: Final = "XYZ"
 Triple = tuple[float, float, float]
 ORIGIN: Triple = (0.0, 0.0, 0.0)
@@ -166,8 +167,12 @@ class BlockParser:
                 codes[group] = value
             elif letter not in "XYZFSPLNT":
                 raise BlockError(UNSUPPORTED)
+            elif letter == "T" and value > LARGEST_TOOL:
+                raise BlockError(TOOL_TOO_LARGE)
             elif letter in values:
                 raise BlockError(REPEATED)
+            elif letter in "FNPTS" and value < 0.0:
+                raise BlockError(NEGATIVE)
             else:
                 values[letter] = value
         if "N" in values and not (values["N"].is_integer() and 1 <= values["N"] <= LARGEST_LINE_NUMBER):
