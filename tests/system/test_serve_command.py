@@ -183,8 +183,7 @@ def test_a_lost_link_and_a_lost_table_are_told_between_runs_without_a_request(tm
         bank, vce_um = known["active_bank"], known["ve_now_um"]
         assert bank > 0
         assert vce_um > 0.0
-        assert known["temperatures_c"]
-        assert known["temperatures_age_s"] is not None
+        assert wait_for(lambda: running.status()["temperatures_c"], "a reading of the thermometer")
         machine.kill()
         lost = wait_for(lambda: with_links(running, ok=False), "the loss of the links")
         assert (lost["active_bank"], lost["ve_now_um"], lost["alarms"]) == (None, None, [])
