@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from rich.console import Console, Group
@@ -89,3 +89,8 @@ def travel_rows(travel: TravelParts) -> list[tuple[str, str]]:
             text = f"{part.estimated_ve_um:.2f} → {part.predicted_vce_um:.2f} µm (95 %: {lower:.2f} to {upper:.2f})"
             rows.append((name, f"{text}, {100.0 * part.share:.0f} % of the travel"))
     return rows
+
+
+def readings_text(readings_c: Mapping[str, float]) -> str:
+    """Return readings in °C by sensor as text."""
+    return ", ".join(f"{sensor} {value:.2f} °C" for sensor, value in readings_c.items())

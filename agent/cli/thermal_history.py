@@ -19,7 +19,7 @@ if will_run():
     from rich.table import Table
 
     from agent.cli.opened_history import opened_history
-    from agent.cli.printing import columns_table, results_console
+    from agent.cli.printing import columns_table, readings_text, results_console
     from agent.files import write_all_atomically
     from agent.settings.load import naming
     from drivers.clock import utc_timestamp
@@ -216,9 +216,8 @@ def _show_now(found: MachineNow) -> None:
         markup=False,
     )
     if found.temperatures_c:
-        readings = ", ".join(f"{name} {value:.2f} °C" for name, value in found.temperatures_c.items())
         source = "as stated" if found.read_from is None else f"given by the device {found.read_from}"
-        console.print(f"temperatures ({source}): {readings}", markup=False)
+        console.print(f"temperatures ({source}): {readings_text(found.temperatures_c)}", markup=False)
     shown = columns_table(("state", "VE, µm", "VCE, µm"), whole=("state",), numbers=("VE, µm", "VCE, µm"))
     rows: list[tuple[str, ExpectedErrors | None]] = [
         ("last estimate", found.then),

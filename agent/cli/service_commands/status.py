@@ -17,7 +17,7 @@ from agent.cli.invocation import will_run
 from agent.cli.options import config_option
 
 if will_run():
-    from agent.cli.printing import facts_table, results_console
+    from agent.cli.printing import facts_table, readings_text, results_console
     from agent.service.client import Client
     from agent.settings.load import read_settings
 
@@ -67,8 +67,8 @@ def _rows(status: Mapping[str, Any]) -> list[tuple[str, str]]:
     if status["written_not_active"] is not None:
         rows.append(("written, not active", f"bank {status['written_not_active']}"))
     if status.get("temperatures_c"):  # not of a service of an earlier version
-        readings = ", ".join(f"{sensor} {value:.2f} °C" for sensor, value in status["temperatures_c"].items())
-        rows.append(("temperatures", f"{readings}; read {status['temperatures_age_s']:.0f} s ago"))
+        readings, age_s = readings_text(status["temperatures_c"]), status["temperatures_age_s"]
+        rows.append(("temperatures", f"{readings}; read {age_s:.0f} s ago"))
     if status["unfinished"]:
         rows.append(("interrupted run", f"{status['unfinished']}; `volcal resume` resumes it"))
     if status["question"]:
