@@ -32,6 +32,7 @@ from agent.service.state.archive import Archive
 from agent.service.state.journal_state import JournalState
 from agent.settings.history import HistorySettings
 from benchmarks.places import memory_directory
+from campaigns.fuzz.short_estimate import short_estimate
 from campaigns.fuzz.trial import Decoder
 from campaigns.resume.case import prepare_case
 from drivers.errors import VolcalError
@@ -40,8 +41,8 @@ from twin.formats.compressed_text import compress_text, expand_text
 
 
 class RunFiles(NamedTuple):
-    """Files of a short run: its journal, the journal with the run compacted, and the history as SQLite files, and the
-    text of its estimate file."""
+    """Files of a short run: its journal, the journal with the run compacted, and the history as SQLite files, and its
+    estimate file, shortened."""
 
     journal: bytes
     compacted: bytes
@@ -52,7 +53,7 @@ class RunFiles(NamedTuple):
 def run_for_journal() -> RunFiles:
     """Carry out a short simulated run, and return its files."""
     with memory_directory("fuzz") as folder:
-        settings, machine = prepare_case(Path(folder))
+        settings, machine = prepare_case(Path(folder), order=2)
         state = Path(folder) / "state"
         machine.run(settings.model_copy(update={"state_directory": state}))
         whole = _one_file(state)
@@ -60,7 +61,7 @@ def run_for_journal() -> RunFiles:
             estimate, (row,) = reader.last_estimate(1), reader.runs()
         history = _history(state)
         compact(state, row, write=True)
-        return RunFiles(whole, _one_file(state), history, estimate or "")
+        return RunFiles(whole, _one_file(state), history, short_estimate(estimate or ""))
 
 
 def _one_file(state: Path) -> bytes:

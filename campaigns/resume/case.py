@@ -227,9 +227,9 @@ class ResumeMachine:
         return assembled
 
 
-def prepare_case(directory: Path) -> tuple[Settings, ResumeMachine]:
+def prepare_case(directory: Path, order: int = 5) -> tuple[Settings, ResumeMachine]:
     """Write the files of a small case to `directory`, which must be the working directory; return the settings and the
-    simulated machine.
+    simulated machine. `order` is the order of the Legendre series that are estimated.
 
     The case has three measured positions and one held-out position. The machine's errors are so large and the
     limits (gates) for a new compensation table so wide that the table is always written and verified.
@@ -257,7 +257,7 @@ def prepare_case(directory: Path) -> tuple[Settings, ResumeMachine]:
         "probe_check": {"limit_um": 3.0, "touches": 5},
         "procedure": {"position_set": str(directory / "positions.csv"), "stations": [1]},
         **LENIENT,
-        "identification": {"order": 5},
+        "identification": {"order": order},
     }
     world = World(build_scenario(ScenarioDocument.model_validate(scenario), directory))
     return Settings.model_validate(document), ResumeMachine(world)

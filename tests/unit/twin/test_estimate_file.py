@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from measured_set import TOOL, bar, case_study, measured
 
+from campaigns.fuzz.short_estimate import short_estimate
 from twin.errors import DataError, FormatError
 from twin.formats.estimate_file import format_estimate, parse_estimate
 from twin.identification import Estimate, Options, identify, identify_by_evidence
@@ -57,6 +58,18 @@ def test_an_estimate_from_its_file_carries_over_as_the_one_in_hand() -> None:
     assert stored.scales == known.scales
     assert from_file.z == pytest.approx(from_hand.z, abs=1e-12)
     assert from_file.z_covariance == pytest.approx(from_hand.z_covariance, abs=1e-12)
+
+
+def test_the_shortened_estimate_of_the_fuzz_trial_has_every_section_and_is_read() -> None:
+    short = short_estimate(text())
+    whole, read = json.loads(text()), json.loads(short)
+    carried = "carried_over"
+    assert read.keys() == whole.keys()
+    assert read[carried].keys() == whole[carried].keys()
+    assert read[carried]["misfit"].keys() == whole[carried]["misfit"].keys()
+    assert read[carried]["misfit"]["sizes"] == [1, 1, 1, 1]
+    assert len(read[carried]["mean"]) == parse_estimate(short, "e.json").carried_over().unknowns.blocks.size
+    assert len(short) < 0.5 * len(text())
 
 
 def test_the_sag_is_stored_and_carried_over_with_the_estimate() -> None:
