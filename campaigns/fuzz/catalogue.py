@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 
 from campaigns.fuzz.device_decoders import device_decoders
-from campaigns.fuzz.file_decoders import estimate_decoder, file_decoders
+from campaigns.fuzz.estimate_decoder import estimate_decoder
+from campaigns.fuzz.file_decoders import file_decoders
 from campaigns.fuzz.journal_decoder import (
     RunFiles,
     compacted_decoder,

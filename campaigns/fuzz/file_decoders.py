@@ -32,7 +32,6 @@ from twin.finite_elements.structure_file import parse_structure
 from twin.formats.artefact_file import parse_artefact
 from twin.formats.ball_file import parse_balls
 from twin.formats.deflection_file import format_deflection, parse_deflection
-from twin.formats.estimate_file import parse_estimate
 from twin.formats.machine_file import parse_machine
 from twin.formats.position_set_file import parse_positions
 from twin.machine.anchor import Anchor
@@ -131,11 +130,6 @@ def file_decoders() -> Iterator[Decoder]:
     yield Decoder("part program", PROGRAMS, _correct)
     yield Decoder("punched tape", [PUNCHED], _decoding(parse_tape), (TapeError,))
     yield from certificate_decoders()
-
-
-def estimate_decoder(text: str) -> Decoder:
-    """Return the decoder of estimate files; `text` is a good one."""
-    return Decoder("estimate (JSON)", [text.encode()], _decoding(lambda given: parse_estimate(given, "estimate.json")))
 
 
 def _text(name: str, paths: list[Path], parse: Callable[[str], object]) -> Decoder:

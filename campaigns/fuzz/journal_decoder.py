@@ -32,7 +32,6 @@ from agent.service.state.archive import Archive
 from agent.service.state.journal_state import JournalState
 from agent.settings.history import HistorySettings
 from benchmarks.places import memory_directory
-from campaigns.fuzz.short_estimate import short_estimate
 from campaigns.fuzz.trial import Decoder
 from campaigns.resume.case import prepare_case
 from drivers.errors import VolcalError
@@ -41,8 +40,8 @@ from twin.formats.compressed_text import compress_text, expand_text
 
 
 class RunFiles(NamedTuple):
-    """Files of a short run: its journal, the journal with the run compacted, and the history as SQLite files, and its
-    estimate file, shortened."""
+    """Files of a short run: its journal, the journal with the run compacted, and the history as SQLite files, and the
+    text of its estimate file."""
 
     journal: bytes
     compacted: bytes
@@ -61,7 +60,7 @@ def run_for_journal() -> RunFiles:
             estimate, (row,) = reader.last_estimate(1), reader.runs()
         history = _history(state)
         compact(state, row, write=True)
-        return RunFiles(whole, _one_file(state), history, short_estimate(estimate or ""))
+        return RunFiles(whole, _one_file(state), history, estimate or "")
 
 
 def _one_file(state: Path) -> bytes:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from measured_set import TOOL, bar, case_study, measured
 
-from campaigns.fuzz.short_estimate import short_estimate
+from campaigns.fuzz.estimate_decoder import short_estimate
 from twin.errors import DataError, FormatError
 from twin.formats.estimate_file import format_estimate, parse_estimate
 from twin.identification import Estimate, Options, identify, identify_by_evidence

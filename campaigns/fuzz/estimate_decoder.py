@@ -1,4 +1,4 @@
-"""Estimate files that are short enough to be read a million times."""
+"""Decoder of estimate files, with a good one that is short enough to be read a million times."""
 
 from __future__ import annotations
 
@@ -6,7 +6,22 @@ import json
 from itertools import accumulate
 from typing import Any
 
+from agent.files import read_text
+from campaigns.fuzz.memory_file import MemoryFile
+from campaigns.fuzz.trial import Decoder
+from twin.formats.estimate_file import parse_estimate
+
 _CANDIDATES = 3
+
+
+def estimate_decoder(text: str) -> Decoder:
+    """Return the decoder of estimate files; `text` is a good one."""
+    file = MemoryFile()
+    return Decoder(
+        "estimate (JSON)",
+        [short_estimate(text).encode()],
+        lambda data: parse_estimate(read_text(file.holding(data)), "estimate.json"),
+    )
 
 
 def short_estimate(text: str) -> str:
