@@ -12,6 +12,7 @@ from sqlalchemy.exc import ArgumentError
 
 from agent.files import read_text
 from agent.history.run_row import machine_name
+from agent.settings.history import HistorySettings
 from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError
 
@@ -44,14 +45,19 @@ class DatabaseAddress:
 
 
 def database_address(settings: Settings) -> DatabaseAddress:
-    """Return the address of the history database as given in `settings`.
+    """Return the address of the history database as given in `settings`. Raises what `address_of` raises."""
+    return address_of(settings.history, machine_name(settings.model_dump(mode="json")), settings.state_directory)
+
+
+def address_of(chosen: HistorySettings, machine: str, state_directory: Path) -> DatabaseAddress:
+    """Return the address of the history database of a machine: that of the settings `chosen`, or else of a file in the
+    state directory.
 
     Raises ConfigurationError if the URL is not supported or contains a password, or if the credentials file can be read
     by users other than the owner of the file.
     """
-    chosen, machine = settings.history, machine_name(settings.model_dump(mode="json"))
     if chosen.url is None:
-        url = URL.create("sqlite", database=str(settings.state_directory / FILE_NAME))
+        url = URL.create("sqlite", database=str(state_directory / FILE_NAME))
         return DatabaseAddress(url, machine, chosen.timeout_s)
     url = _parse_url(chosen.url)
     if chosen.credentials_file is not None:

@@ -43,7 +43,7 @@ def sync_ends(directory: Path, store: HistoryStore) -> tuple[str, ...]:
         machine = machine_name(head.settings)
         if machine not in stored:
             stored[machine] = dict(store.ends(machine))
-        end = _end(head.row)
+        end = end_of(head.row)
         if end is None or head.added_after_end or stored[machine].get(head.row.run_id) != end:
             changed.append(head.row.run_id)
     return _store_changed(directory, changed, store)
@@ -60,7 +60,7 @@ def sync_missing(directory: Path, store: HistoryStore) -> frozenset[str]:
     with open_journal(directory) as reader:
         rows = reader.runs()
     stored = store.ends(store.address.machine)
-    if any(row.run_id not in stored or _end(row) not in (None, stored[row.run_id]) for row in rows):
+    if any(row.run_id not in stored or end_of(row) not in (None, stored[row.run_id]) for row in rows):
         sync_ends(directory, store)
     return frozenset(row.run_id for row in rows)
 
@@ -79,7 +79,7 @@ def _store_changed(directory: Path, chosen: Iterable[str], store: HistoryStore) 
     return tuple(written)
 
 
-def _end(row: RunRow) -> RunEnd | None:
+def end_of(row: RunRow) -> RunEnd | None:
     """Return the end of a run, or None while the run is in progress or can be resumed."""
     return (
         None if row.ended is None else RunEnd(utc_time(datetime.fromisoformat(row.ended)), row.state, row.reason or "")

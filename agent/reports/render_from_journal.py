@@ -6,12 +6,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from agent.execution.run_record import RunRecord, read_record, run_ids
+from agent.execution.run_record import RunRecord, read_record
 from agent.history.figure import trends_svg
+from agent.history.journal_runs import runs_until
 from agent.history.overview import VOLUMETRIC, trends_of
-from agent.history.run_row import run_rows
 from agent.history.schema import StoredRun
-from agent.history.store import stored_run
 from agent.history.trends import Trend
 from agent.language.sentences import Language
 from agent.reports.page.pdf import render_pdf
@@ -42,12 +41,8 @@ def render_from_journal(
 
 def _trend_figure(directory: Path, record: RunRecord) -> str:
     """Return an SVG of the main trends of the machine up to this run; empty if no series has `MIN_RUNS` values."""
-    known = run_ids(directory)
-    earlier = [read_record(directory, run_id) for run_id in known[: known.index(record.run_id) + 1]]
-    rows = [run_rows(one) for one in earlier]
-    machine = rows[-1].run["machine"]
-    runs = [stored_run(one) for one in rows if one.run["machine"] == machine]
-    shown = _select_trends(runs, HistorySettings.model_validate(record.settings.get("history", {})))
+    settings = HistorySettings.model_validate(record.settings.get("history", {}))
+    shown = _select_trends(runs_until(directory, record, settings), settings)
     return trends_svg(shown) if shown else ""
 
 

@@ -23,12 +23,13 @@ from volcal_command import volcal
 
 from agent.cli.main import main
 from agent.execution.journal import Journal
-from agent.execution.run_record import read_record, run_ids
+from agent.execution.run_record import RunRecord, read_record, run_ids
 from agent.execution.states import RunState
 from agent.history.cached_trends import CachedTrends
 from agent.history.database_url import DatabaseAddress, database_address
 from agent.history.export import as_csv, as_json
 from agent.history.figure import draw_trends, trends_svg
+from agent.history.journal_runs import runs_until
 from agent.history.metrics import metrics_text
 from agent.history.overview import alarms_of, most_relevant, select_trends, trends_of
 from agent.history.series import ACTIVE, BARE, Series, nights_of
@@ -209,6 +210,79 @@ class TestFeeding:
         with pytest.raises(InputError, match=run_id(0)):
             read_record(state, "20200101T000000Z-0000")
         assert run_ids(state) == (run_id(0),)
+
+
+def until_last(state: Path, nights: int, **history: object) -> tuple[str, list[str]]:
+    """Return the runs up to the last one as text, and the identities of those that were read from the journal."""
+    read: list[str] = []
+
+    def counting(directory: Path, chosen: str) -> RunRecord:
+        read.append(chosen)
+        return read_record(directory, chosen)
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("agent.history.journal_runs.read_record", counting)
+        last = read_record(state, run_id(nights - 1))
+        return as_json(runs_until(state, last, HistorySettings.model_validate(history))), read
+
+
+class TestRunsUntil:
+    NIGHTS = 4
+
+    @pytest.fixture
+    def nights(self, state: Path) -> list[str]:
+        """Runs that ended when their last decision was written; the identities of all but the last."""
+        for night in range(self.NIGHTS):
+            change_dates(
+                state, journaled(state, night, 3.0 + night), f"2026-11-{night + 1:02}T02:00:00.000Z", utc_timestamp()
+            )
+        return [run_id(night) for night in range(self.NIGHTS - 1)]
+
+    def test_runs_in_the_database_are_the_same_and_are_not_read_again(self, state: Path, nights: list[str]) -> None:
+        journaled(state, self.NIGHTS)  # a later one is not among them
+        alone, read = until_last(state, self.NIGHTS)
+        assert [run["run_id"] for run in json.loads(alone)["runs"]] == [*nights, run_id(self.NIGHTS - 1)]
+        assert read == nights
+        assert not (state / "history.sqlite").exists()
+        with closing(HistoryStore(database_address(settings(state)))) as store:
+            sync(state, store)
+        assert until_last(state, self.NIGHTS) == (alone, [])
+
+    @pytest.mark.parametrize("change", ["end", "settings", "later"])
+    def test_a_run_that_is_not_as_stored_is_read(
+        self, state: Path, store: HistoryStore, nights: list[str], change: str
+    ) -> None:
+        sync(state, store)
+        if change == "end":
+            operate(state, "UPDATE runs SET reason = 'mended' WHERE run_id = ?", nights[1])
+        elif change == "settings":
+            operate(state, "UPDATE runs SET settings = settings || ' ' WHERE run_id = ?", nights[1])
+        else:
+            journal = Journal(state)
+            journal.continue_run(2, nights[1], VirtualClock())[0].aside().decision("restore/activated", {"bank": 1})
+            journal.close()
+        found, read = until_last(state, self.NIGHTS)
+        assert read == [nights[1]]
+        sync(state, store)
+        assert as_json(store.runs()) == found
+
+    @pytest.mark.parametrize(
+        "damage", ["UPDATE volcal_schema SET version = 2", "UPDATE volcal_runs SET ve_before_um = x'ff00'"]
+    )
+    def test_without_a_usable_database_all_are_read(
+        self, state: Path, store: HistoryStore, nights: list[str], damage: str
+    ) -> None:
+        sync(state, store)
+        good, _ = until_last(state, self.NIGHTS)
+        with closing(sqlite3.connect(state / "history.sqlite")) as database, database:
+            database.execute(damage)
+        assert until_last(state, self.NIGHTS) == (good, nights)
+        assert until_last(state, self.NIGHTS, url="postgresql://me@127.0.0.1:1/volcal", timeout_s=1.0) == (good, nights)
+
+    def test_runs_of_another_machine_are_not_among_them(self, state: Path) -> None:
+        for night, machine in enumerate(("mine", "yours", "mine")):
+            journaled(state, night, machine=machine)
+        assert [run["run_id"] for run in json.loads(until_last(state, 3)[0])["runs"]] == [run_id(0), run_id(2)]
 
 
 class TestPlace:
