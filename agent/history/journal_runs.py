@@ -20,10 +20,10 @@ from drivers.errors import VolcalError
 def runs_until(directory: Path, record: RunRecord, settings: HistorySettings) -> Sequence[StoredRun]:
     """Return the runs of one machine up to the run of `record`, the last one, in the order in which they started.
 
-    The journal in the state directory `directory` decides which runs these are. A former run that the database of
+    The journal in the state directory `directory` decides which runs these are. A former run that the history file of
     `settings` has with the same end and the same settings is taken from there: it takes some 10 ms to read one from the
-    journal, ten seconds after a thousand nights. The others are read from the journal, all if the database cannot be
-    used.
+    journal, ten seconds after a thousand nights. The others are read from the journal. So are all if the file cannot be
+    used, or if the history is on a server, where other machines write too.
 
     Raises InputError if the journal cannot be read.
     """
@@ -38,10 +38,10 @@ def runs_until(directory: Path, record: RunRecord, settings: HistorySettings) ->
 
 
 def _stored(directory: Path, machine: str, settings: HistorySettings) -> Mapping[str, StoredRun]:
-    """Return the runs of the history database by their identity, or none if it does not exist or cannot be used."""
+    """Return the runs of the history file by their identity, or none if there is no such file or it cannot be used."""
     try:
         address = address_of(settings, machine, directory)
-        if address.is_file and not Path(address.url.database or "").is_file():
+        if not address.is_file or not Path(address.url.database or "").is_file():
             return {}
         with closing(HistoryStore(address)) as store:
             return {run.run_id: run for run in store.runs(machine)}

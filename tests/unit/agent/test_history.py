@@ -238,7 +238,7 @@ class TestRunsUntil:
             )
         return [run_id(night) for night in range(self.NIGHTS - 1)]
 
-    def test_runs_in_the_database_are_the_same_and_are_not_read_again(self, state: Path, nights: list[str]) -> None:
+    def test_runs_in_the_history_file_are_the_same_and_are_not_read_again(self, state: Path, nights: list[str]) -> None:
         journaled(state, self.NIGHTS)  # a later one is not among them
         alone, read = until_last(state, self.NIGHTS)
         assert [run["run_id"] for run in json.loads(alone)["runs"]] == [*nights, run_id(self.NIGHTS - 1)]
@@ -269,7 +269,7 @@ class TestRunsUntil:
     @pytest.mark.parametrize(
         "damage", ["UPDATE volcal_schema SET version = 2", "UPDATE volcal_runs SET ve_before_um = x'ff00'"]
     )
-    def test_without_a_usable_database_all_are_read(
+    def test_without_a_usable_history_file_all_are_read(
         self, state: Path, store: HistoryStore, nights: list[str], damage: str
     ) -> None:
         sync(state, store)
