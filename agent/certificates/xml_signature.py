@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -37,6 +38,8 @@ _FAILURES: Final = (
     ValueError, LookupError, TypeError, AttributeError, AssertionError,
 )  # fmt: skip
 """What signxml and its libraries raise for a signature that is damaged or of a kind that they do not know."""
+_UNREADABLE: Final = (ValueError, UnsupportedAlgorithm, x509.InvalidVersion, Warning)
+"""What reading a certificate raises if it is damaged, of an unknown kind, or not as RFC 5280 requires."""
 
 PrivateKey = rsa.RSAPrivateKey | ec.EllipticCurvePrivateKey
 
@@ -162,36 +165,40 @@ def _embedded(signature: etree._Element, source: str) -> list[x509.Certificate]:
         raise InputError(
             f"the signature has {len(held)} certificates, at most {_MOST_CERTIFICATES} are read", file=source
         )
+    bodies = ["".join((one.text or "").split()) for one in held]
     try:
         return [
-            _readable(
-                x509.load_pem_x509_certificate(
-                    f"-----BEGIN CERTIFICATE-----\n{''.join((one.text or '').split())}\n"
-                    "-----END CERTIFICATE-----\n".encode("ascii")
-                )
+            certificate
+            for body in bodies
+            for certificate in _read_pem(
+                f"-----BEGIN CERTIFICATE-----\n{body}\n-----END CERTIFICATE-----\n".encode("ascii")
             )
-            for one in held
         ]
-    except (ValueError, UnsupportedAlgorithm) as error:
+    except _UNREADABLE as error:
         told = one_line(str(error), _LONGEST_NAME)
         raise InputError(f"the certificate of the signer cannot be read: {told}", file=source) from None
 
 
-def _readable(certificate: x509.Certificate) -> x509.Certificate:
-    """Return the certificate. Raises ValueError if its names or its validity cannot be read: the library looks into
-    these fields only when they are asked for."""
-    for name in (certificate.subject, certificate.issuer):
-        name.rfc4514_string()
-    _ = certificate.not_valid_before_utc, certificate.not_valid_after_utc
-    return certificate
+def _read_pem(content: bytes) -> list[x509.Certificate]:
+    """Return the certificates in PEM form. Raises one of `_UNREADABLE` if there is none, or if one has names or a
+    validity that cannot be read: the library looks into these fields only when they are asked for. It warns of some
+    that RFC 5280 does not allow, such as a serial number of 0, which are errors here."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        certificates = x509.load_pem_x509_certificates(content)
+        for certificate in certificates:
+            for name in (certificate.subject, certificate.issuer):
+                name.rfc4514_string()
+            _ = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+    return certificates
 
 
 def _certificates(path: Path) -> list[x509.Certificate]:
     try:
-        return [_readable(one) for one in x509.load_pem_x509_certificates(path.read_bytes())]
+        return _read_pem(path.read_bytes())
     except OSError as error:
         raise InputError(f"the file cannot be read: {error.strerror or error}", file=str(path)) from None
-    except (ValueError, UnsupportedAlgorithm):
+    except _UNREADABLE:
         raise InputError(
             "the file has no certificate in PEM form",
             hint="it must begin with -----BEGIN CERTIFICATE-----",

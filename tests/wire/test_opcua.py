@@ -256,6 +256,8 @@ def test_trust_is_given_and_taken_without_a_restart(world, tmp_path):
     guest = certificate(tmp_path, "guest")
     world.trust(guest[0])
     (world.endpoint.trusted_clients / "README").write_text("copy certificates of clients here")
+    damaged = guest[0].read_bytes().replace(b"\xa0\x03\x02\x01\x02", b"\xa0\x03\x02\x01\x2c")  # its version is 45
+    (world.endpoint.trusted_clients / "a-damaged-one.der").write_bytes(damaged)
 
     async def scene() -> None:
         async with world.connected(pair=guest) as client:

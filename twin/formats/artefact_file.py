@@ -37,7 +37,9 @@ ReadText = Callable[[str], str]
 """Function that takes a file name as written in another file, resolves it relative to that file, and returns the text
 of the named file."""
 
-Coordinates = tuple[float, float, float]
+_LARGEST_MM = 1e6  # no length of an artefact; its squares, with all factors, are finite
+_Coordinate = Annotated[float, Field(ge=-_LARGEST_MM, le=_LARGEST_MM)]
+Coordinates = tuple[_Coordinate, _Coordinate, _Coordinate]
 
 
 class BarSection(StrictModel):
@@ -45,9 +47,9 @@ class BarSection(StrictModel):
     `twin.artefact.artefact.bar_balls` computes the ball centres from its values."""
 
     balls: Annotated[int, Field(ge=2, le=99)]
-    length_mm: Annotated[float, Field(gt=0.0)]
+    length_mm: Annotated[float, Field(gt=0.0, le=_LARGEST_MM)]
     tilt_deg: Annotated[float, Field(ge=0.0, lt=90.0)] = 0.0
-    holder_length_mm: Annotated[float, Field(ge=0.0)] = 0.0
+    holder_length_mm: Annotated[float, Field(ge=0.0, le=_LARGEST_MM)] = 0.0
 
 
 class ReferenceLengthSection(StrictModel):

@@ -10,6 +10,9 @@ from dataclasses import dataclass
 
 from twin.errors import FormatError
 
+_LARGEST_INT = 2**31 - 1
+"""Largest whole number in a cell. Those of files are numbers of positions, balls and nodes."""
+
 
 @dataclass(frozen=True)
 class CsvRow:
@@ -44,6 +47,8 @@ class CsvRow:
             raise self.error(f"'{text}' is not a whole number", column) from None
         if value < at_least:
             raise self.error(f"{value} is less than {at_least}", column)
+        if value > _LARGEST_INT:
+            raise self.error(f"'{text}' is larger than {_LARGEST_INT}", column)
         return value
 
 

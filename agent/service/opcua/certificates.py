@@ -75,9 +75,12 @@ def _certificates_in(directory: Path) -> Iterable[x509.Certificate]:
 
 def _load(path: Path) -> x509.Certificate:
     data = path.read_bytes()
-    if data.lstrip().startswith(b"-----BEGIN"):
-        return x509.load_pem_x509_certificate(data)
-    return x509.load_der_x509_certificate(data)
+    try:
+        if data.lstrip().startswith(b"-----BEGIN"):
+            return x509.load_pem_x509_certificate(data)
+        return x509.load_der_x509_certificate(data)
+    except x509.InvalidVersion as error:  # alone among its errors, no ValueError
+        raise ValueError(str(error)) from None
 
 
 def _der(certificate: x509.Certificate) -> bytes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import datetime
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -100,10 +101,29 @@ def test_what_was_changed_is_refused_whoever_is_trusted(old: bytes, new: bytes, 
         assert caught.value.where["file"] == "d.xml"
 
 
-def test_a_certificate_whose_name_is_no_text_is_refused(tmp_path: Path) -> None:
+VERSION_3, VERSION_45 = b"\xa0\x03\x02\x01\x02", b"\xa0\x03\x02\x01\x2c"
+"""Version of a certificate in DER (RFC 5280, 4.1.2.1), which is its number less one."""
+
+
+def negative_serial_number(der: bytes) -> bytes:
+    """The serial number follows on the version."""
+    length_at = der.index(VERSION_3) + len(VERSION_3) + 1
+    return der[: length_at + 1] + b"\xff" + der[length_at + 2 :]
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda der: der.replace(b"Laboratory", b"Laborator\xff"),
+        lambda der: der.replace(VERSION_3, VERSION_45),
+        negative_serial_number,
+    ],
+    ids=["name", "version", "serial number"],
+)
+def test_a_certificate_that_cannot_be_read_is_refused(damage: Callable[[bytes], bytes], tmp_path: Path) -> None:
     """Its key still belongs to the signature, which does not cover it."""
     signed = etree.fromstring(signed_by(LABORATORY, tmp_path))
-    damaged = LABORATORY.certificate.public_bytes(Encoding.DER).replace(b"Laboratory", b"Laborator\xff")
+    damaged = damage(LABORATORY.certificate.public_bytes(Encoding.DER))
     held = signed.find(f".//{{{DS}}}X509Certificate")
     assert held is not None
     held.text = base64.b64encode(damaged).decode("ascii")

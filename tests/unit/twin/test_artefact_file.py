@@ -51,6 +51,7 @@ def test_a_covariance_file_is_read_in_square_micrometres() -> None:
         ("standard_uncertainty_um = 0.8", "", "standard_uncertainty_um"),
         ("[50.0, 0.0, 0.0]", "[50.0, 0.0]", "balls"),
         ("[50.0, 0.0, 0.0]", "[nan, 0.0, 0.0]", "balls"),
+        ("[50.0, 0.0, 0.0]", "[5e200, 0.0, 0.0]", "balls"),
         ("20.0", "-20.0", "ball_diameter_mm"),
         ("[50.0, 0.0, 0.0]", "[-45.0, 0.0, 0.0]", "balls 0 and 1"),
     ],

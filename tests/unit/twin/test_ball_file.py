@@ -84,6 +84,7 @@ def changed(old: str, new: str) -> str:
         (changed("probe,1", "stick,1"), "unknown tool 'stick'", "3", "tool"),
         (changed("probe,1", "probe,1.0"), "'1.0' is not a whole number", "3", "ball"),
         (changed("probe,1", "probe,-1"), "-1 is less than 0", "3", "ball"),
+        (changed("probe,1", f"probe,{10**400}"), "0' is larger than 2147483647", "3", "ball"),
         (changed("probe,1", "probe,0"), "already given in row 2", "3", "ball"),
         (changed("1.5,20.5", "-1.5,20.5"), "must be positive", "2", "sigma_um"),
         (changed("1.5,20.5", "0,20.5"), "must be positive", "2", "sigma_um"),

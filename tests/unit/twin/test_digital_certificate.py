@@ -170,6 +170,7 @@ FORM = real("roundness", 0.1, r"\micro\metre")
         (SINGLE, ">0.0012<", ">-0.0012<", "an uncertainty is negative"),
         (SINGLE, ">0.0012<", ">NaN<", "'NaN' is not a finite number"),
         (SINGLE, ">0.0012<", ">1e999<", "'1e999' is not a finite number"),
+        (SINGLE, ">0.0012<", f">{'9' * 300_000}<", "9' is not a finite number"),  # an hour, if searched for its point
         (GOOD, r"<si:unitXMLList>\metre<", r"<si:unitXMLList>\pico\metre\tothe{-99}<", "is not known"),
         (GOOD, r"<si:unitXMLList>\metre<", r"<si:unitXMLList>\kilo\metre<", "a length is larger than 100 m"),
         (GOOD, r"\micro\metre\tothe{2}", r"\milli\metre\tothe{2}", "a standard uncertainty is .* mm"),

@@ -35,7 +35,7 @@ MAX_VALUES: Final = 300
 """Number of values of one quantity at most: three coordinates of a hundred balls."""
 
 # decimal numbers of XML Schema, without NaN and infinity
-_NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?")
+_NUMBER: Final = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,3})?")
 _CONTRADICTION: Final = 0.05  # a covariance and an uncertainty of the same value that differ by more are not the same
 
 _TOO_LARGE: Final = 1e30  # no quantity of an artefact; squares of it are still finite
