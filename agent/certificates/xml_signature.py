@@ -38,7 +38,7 @@ _FAILURES: Final = (
     ValueError, LookupError, TypeError, AttributeError, AssertionError,
 )  # fmt: skip
 """What signxml and its libraries raise for a signature that is damaged or of a kind that they do not know."""
-_UNREADABLE: Final = (ValueError, UnsupportedAlgorithm, x509.InvalidVersion, Warning)
+_UNREADABLE: Final = (ValueError, TypeError, UnsupportedAlgorithm, x509.InvalidVersion, Warning)
 """What reading a certificate raises if it is damaged, of an unknown kind, or not as RFC 5280 requires."""
 
 PrivateKey = rsa.RSAPrivateKey | ec.EllipticCurvePrivateKey

@@ -115,10 +115,11 @@ def negative_serial_number(der: bytes) -> bytes:
     "damage",
     [
         lambda der: der.replace(b"Laboratory", b"Laborator\xff"),
+        lambda der: der.replace(b"\x0c\x0aLaboratory", b"\x03\x0a\x00aboratory"),
         lambda der: der.replace(VERSION_3, VERSION_45),
         negative_serial_number,
     ],
-    ids=["name", "version", "serial number"],
+    ids=["name", "bits for a name", "version", "serial number"],
 )
 def test_a_certificate_that_cannot_be_read_is_refused(damage: Callable[[bytes], bytes], tmp_path: Path) -> None:
     """Its key still belongs to the signature, which does not cover it."""
