@@ -21,7 +21,7 @@ from gcode.source import SourceLine
 _WORD = re.compile(r"([A-Z@^]|(?<=.)\$)[ \t]*([-+]?(?:\d+\.?\d*|\.\d+)|(?<=[FS])#<_HAL\[[^\[\]<>]*\]>)|([^ \t])")
 LARGEST_NUMBER = 1e9
 """Larger numbers are refused: no word of a controller has so many digits."""
-_NUMBER = r"([-+]?(?:\d{1,9}\.?\d*|\.\d+))"
+_NUMBER = r"([-+]?(?:\d{1,9}(?:\.\d*)?|\.\d+))"
 # The words in the order in which post-processors write them, each at most once and with at most one space behind.
 _PLAIN = re.compile(
     r"(?:N(\d+) ?)?(?:G0?([01]) ?)?" + "".join(f"(?:{letter}{_NUMBER} ?)?" for letter in "XYZ") + f"(?:F{_NUMBER})?$"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 from collections.abc import Sequence
 from datetime import datetime
 from typing import Any
@@ -57,8 +58,14 @@ def as_json(runs: Sequence[StoredRun]) -> str:
 
 def _record(text: str) -> object:
     with damage_of_history():
-        record: object = json.loads(text)
+        record: object = json.loads(text, parse_float=_finite, parse_constant=_finite)
         return record
+
+
+def _finite(text: str) -> float:
+    if not math.isfinite(value := float(text)):
+        raise ValueError(f"{text[:20]} is not a finite number")
+    return value
 
 
 def _plain(value: object) -> object:

@@ -301,6 +301,8 @@ class TestPlace:
             "UPDATE volcal_runs SET started = 'yesterday'",
             "UPDATE volcal_parameters SET value = 'large'",
             "UPDATE volcal_decisions SET record = '{'",
+            "UPDATE volcal_decisions SET record = '{\"value\": 1e999}'",
+            "UPDATE volcal_decisions SET record = '{\"value\": NaN}'",
         ],
     )
     def test_a_damaged_value_is_refused_in_words(self, state: Path, store: HistoryStore, damage: str) -> None:

@@ -249,6 +249,8 @@ class TestVolume:
         ("G1 X1\x07", "control character 7"),
         ("G3 I10 F1 M5", "has to be divided, and M5 takes effect before"),
         ("(volcal gcode correct: table 1)", "already corrected"),
+        (f"G0 X{'9' * 200}", "the number after X has too many digits"),
+        (f"G0 X{'9' * 200}.5 Y1", "the number after X has too many digits"),
     ],
 )
 def test_what_cannot_be_corrected_is_refused_with_line_and_reason(block: str, reason: str) -> None:
