@@ -5,6 +5,7 @@ The functions of this module do not change the journal.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,7 +37,8 @@ class OperatorQuestion:
 
 
 class _StoredSettings:
-    """Decoding of the JSON text `settings_text`, which contains the settings with which a run was started."""
+    """Decoding and checksum of the JSON text `settings_text`, which contains the settings with which a run was
+    started."""
 
     settings_text: str
 
@@ -44,6 +46,10 @@ class _StoredSettings:
     def settings(self) -> Mapping[str, Any]:
         document: dict[str, Any] = stored_json(self.settings_text)
         return document
+
+    @property
+    def settings_sha256(self) -> str:
+        return hashlib.sha256(self.settings_text.encode()).hexdigest()
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
@@ -55,5 +54,4 @@ def _unchanged(head: RunHead, stored: Mapping[str, StoredRun]) -> StoredRun | No
     if found is None or end is None or head.added_after_end:
         return None
     same_end = RunEnd(found.ended and utc_time(found.ended), found.state, found.reason) == end
-    same_settings = found.settings_sha256 == hashlib.sha256(head.settings_text.encode()).hexdigest()
-    return found if same_end and same_settings else None
+    return found if same_end and found.settings_sha256 == head.settings_sha256 else None

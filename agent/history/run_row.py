@@ -86,7 +86,7 @@ def _run(record: RunRecord, estimate: Mapping[str, Any] | None) -> dict[str, Any
         "chi2_normalised": None if estimate is None else estimate["chi2_normalised"],
         "table_bank": outcome.get("table_bank"),
         "table_crc32": None if staged is None or staged.crc32 is None else f"{staged.crc32:08x}",
-        "settings_sha256": hashlib.sha256(record.settings_text.encode()).hexdigest(),
+        "settings_sha256": record.settings_sha256,
         **_errors(record, outcome),
     }
 

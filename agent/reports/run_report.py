@@ -10,7 +10,6 @@ event that required a decision.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -315,7 +314,7 @@ def _provenance(record: RunRecord, inputs: Mapping[str, Any]) -> Provenance:
     return Provenance(
         started_by=requester_of({**asked, BY: as_it_is(str(asked.get(BY, "")))}),
         files=tuple((as_it_is(file["name"]), file["sha256"]) for file in inputs["files"]),
-        settings_sha256=hashlib.sha256(record.settings_text.encode()).hexdigest(),
+        settings_sha256=record.settings_sha256,
     )
 
 
