@@ -1,4 +1,4 @@
-"""Decoder of estimate files, with a good one that is short enough to be read a million times."""
+"""Decoder of estimate files, and how a good one is made short enough to be read a million times."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ _CANDIDATES = 3
 
 
 def estimate_decoder(text: str) -> Decoder:
-    """Return the decoder of estimate files; `text` is a good one."""
+    """Return the decoder of estimate files; `text` is a good one, and short."""
     file = MemoryFile()
     return Decoder(
         "estimate (JSON)",
-        [short_estimate(text).encode()],
+        [text.encode()],
         lambda data: parse_estimate(read_text(file.holding(data)), "estimate.json"),
     )
 

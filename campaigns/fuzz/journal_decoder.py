@@ -32,16 +32,25 @@ from agent.service.state.archive import Archive
 from agent.service.state.journal_state import JournalState
 from agent.settings.history import HistorySettings
 from benchmarks.places import memory_directory
+from campaigns.fuzz.estimate_decoder import short_estimate
 from campaigns.fuzz.trial import Decoder
 from campaigns.resume.case import prepare_case
 from drivers.errors import VolcalError
 from twin.errors import TwinError
 from twin.formats.compressed_text import compress_text, expand_text
 
+LEFT_OUT = (
+    """DELETE FROM steps WHERE ordinal IN (SELECT ordinal FROM (
+    SELECT ordinal, row_number() OVER (PARTITION BY kind ORDER BY ordinal) AS place FROM steps) WHERE place > 20)""",
+    "DELETE FROM balls WHERE ordinal NOT IN (SELECT ordinal FROM balls ORDER BY ordinal LIMIT 20)",
+    "DELETE FROM temperatures WHERE ordinal NOT IN (SELECT ordinal FROM temperatures ORDER BY ordinal LIMIT 20)",
+)
+"""Statements that leave the first 20 steps of each kind, 20 balls and 20 temperatures of the only run of a journal."""
+
 
 class RunFiles(NamedTuple):
-    """Files of a short run: its journal, the journal with the run compacted, and the history as SQLite files, and the
-    text of its estimate file."""
+    """Files of a run of which not all rows are kept (`_shorten`): its journal, the journal with the run compacted, and
+    the history as SQLite files, and the text of its estimate file."""
 
     journal: bytes
     compacted: bytes
@@ -55,12 +64,24 @@ def run_for_journal() -> RunFiles:
         settings, machine = prepare_case(Path(folder), order=2)
         state = Path(folder) / "state"
         machine.run(settings.model_copy(update={"state_directory": state}))
+        _shorten(state / FILE_NAME)
         whole = _one_file(state)
         with open_journal(state) as reader:
             estimate, (row,) = reader.last_estimate(1), reader.runs()
         history = _history(state)
         compact(state, row, write=True)
         return RunFiles(whole, _one_file(state), history, estimate or "")
+
+
+def _shorten(journal: Path) -> None:
+    """Leave only some of the rows (`LEFT_OUT`) and a short estimate: the others have the same forms, and the time in
+    which an input is read grows with their number."""
+    with closing(sqlite3.connect(journal)) as connection:
+        for statement in LEFT_OUT:
+            connection.execute(statement)
+        for number, text in connection.execute("SELECT rowid, record FROM estimates").fetchall():
+            connection.execute("UPDATE estimates SET record = ? WHERE rowid = ?", (short_estimate(text), number))
+        connection.commit()
 
 
 def _one_file(state: Path) -> bytes:
