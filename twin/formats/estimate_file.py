@@ -347,9 +347,12 @@ def _covariance(document: EstimateFile, source: str) -> Array:
     covariance = np.array(document.covariance)
     scale = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     scale = np.where(scale > 0.0, scale, 1.0)
-    unit = covariance / np.multiply.outer(scale, scale)
-    if np.abs(unit - unit.T).max() > _ASYMMETRY:
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        unit = covariance / scale[:, None] / scale
+        # a covariance that is far too large for its variances makes `unit` infinite, the difference NaN
+        asymmetry = np.abs(unit - unit.T).max()
+    if asymmetry > _ASYMMETRY:
         raise FormatError("the covariance is not symmetric", file=source, key="covariance")
-    if np.linalg.eigvalsh(unit)[0] < -_INDEFINITE:
+    if not np.isfinite(unit).all() or np.linalg.eigvalsh(unit)[0] < -_INDEFINITE:
         raise FormatError("the covariance is not positive semi-definite", file=source, key="covariance")
     return covariance

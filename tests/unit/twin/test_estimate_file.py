@@ -154,6 +154,13 @@ def with_covariance(row: int, column: int, value: float) -> str:
     return changed(covariance=covariance)
 
 
+def with_correlation(variance: float, covariance_of_two: float) -> str:
+    covariance = json.loads(text())["covariance"]
+    covariance[0][0] = variance
+    covariance[0][1] = covariance[1][0] = covariance_of_two
+    return changed(covariance=covariance)
+
+
 @pytest.mark.parametrize(
     ("bad", "words", "key"),
     [
@@ -166,6 +173,7 @@ def with_covariance(row: int, column: int, value: float) -> str:
         (lambda: with_parameter(value=float("nan")), "NaN is not a number", None),
         (lambda: with_covariance(1, 0, 1.0), "not symmetric", "covariance"),
         (lambda: with_covariance(0, 0, -1.0), "not symmetric|positive", "covariance"),
+        (lambda: with_correlation(1e-320, 1e300), "not positive semi-definite", "covariance"),
         (lambda: changed(covariance=[[1.0]]), "rows of", "covariance"),
         (lambda: with_carried(mean=[1.0]), "numbers are required", "carried_over.mean"),
         (lambda: with_carried(scale=[1.0]), "numbers are required", "carried_over.scale"),
