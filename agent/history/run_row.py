@@ -103,7 +103,7 @@ def _errors(record: RunRecord, outcome: Mapping[str, Any]) -> dict[str, Any]:
     before, after = volumetric.get("before_aligned", {}), volumetric.get("after_aligned", {})
     proof = record.decision(PROOF) or {}
     night = outcome.get("night") or record.decision("night") or record.decision("verify") or {}
-    figures = run_figures(record.decision)
+    figures = run_figures(record.state, record.decision)
     return {
         "ve_before_um": figures.ve_um,
         "ve_before_sigma_um": before.get("standard_uncertainty_um"),

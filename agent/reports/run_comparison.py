@@ -181,7 +181,7 @@ def comparison_of(one: ComparedRun, other: ComparedRun) -> RunComparison:
 def compared_run(directory: Path, run_id: str) -> ComparedRun:
     """Return what is compared of a run. Raise InputError if the journal does not have the run."""
     record = read_record(directory, run_id)
-    figures = run_figures(record.decision)
+    figures = run_figures(record.state, record.decision)
     verdict = verdict_of(
         record.kind,
         record.state,

@@ -133,7 +133,7 @@ def _header(record: RunRecord, found: IdentificationData | None) -> Header:
 
 
 def _verdict(record: RunRecord) -> RunVerdict:
-    figures = run_figures(record.decision)
+    figures = run_figures(record.state, record.decision)
     return verdict_of(
         record.kind,
         record.state,

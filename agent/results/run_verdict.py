@@ -206,6 +206,8 @@ _BY_STATE = {
     RunState.FAULTED.value: FAULTED,
     RunState.WRITTEN.value: WRITTEN,
 }
+_TAKEN_BACK = frozenset({RunState.ABORTED.value, RunState.FAULTED.value})
+"""States of runs that leave the former table active, whatever the result of their proof."""
 _BY_DECISION = {
     "within limits": WITHIN,
     "out of limits": OUT,
@@ -256,6 +258,8 @@ class RunFigures:
     active at the end of the run (VCE); both after removal of the best-fitting rigid motion. `held_out_before_um` is the
     rms residual of the held-out balls with the table from before the run, `held_out_after_um` with the new one.
     `accepted` is the result of the proof of a new table, and `decision` that of a night, verification or confirmation.
+    A run that is stopped, or ends with an error, after its proof takes the new table back: `accepted` and
+    `held_out_after_um` are None then.
     """
 
     ve_um: float | None
@@ -266,9 +270,9 @@ class RunFigures:
     decision: str | None
 
 
-def run_figures(decision: Callable[[str], Mapping[str, Any] | None]) -> RunFigures:
-    """Return the figures of a run. `decision` returns the content of the run's last journaled decision of a kind, or
-    None if there is none."""
+def run_figures(state: str, decision: Callable[[str], Mapping[str, Any] | None]) -> RunFigures:
+    """Return the figures of a run whose last state is `state` (the text of a `RunState`). `decision` returns the
+    content of the run's last journaled decision of a kind, or None if there is none."""
     outcome, proof = decision(OUTCOME) or {}, decision(PROOF) or {}
     without_um, new_um = outcome.get("estimated_ve_um"), outcome.get("predicted_vce_um")
     if without_um is None:  # the run has no outcome; the large record is read only then
@@ -276,13 +280,14 @@ def run_figures(decision: Callable[[str], Mapping[str, Any] | None]) -> RunFigur
         without_um, new_um = (volumetric.get(at, {}).get("value_um") for at in ("before_aligned", "after_aligned"))
     night = outcome.get("night") or decision("night") or decision("verify") or {}
     confirmed = outcome.get("confirmed") or {}
-    accepted = proof.get("accepted")
+    taken_back = state in _TAKEN_BACK
+    accepted = None if taken_back else proof.get("accepted")
     kept_um = confirmed.get("ve_kept_um", night.get("ve_now_um"))
     return RunFigures(
         ve_um=without_um,
         vce_um=new_um if accepted else kept_um,
         held_out_before_um=proof.get("before_um", confirmed.get("held_out_um", night.get("held_out_um"))),
-        held_out_after_um=proof.get("after_um"),
+        held_out_after_um=None if taken_back else proof.get("after_um"),
         accepted=accepted,
         decision=night.get("decision", CONFIRMED_DECISION if confirmed else None),
     )

@@ -23,7 +23,6 @@ from agent.reports.page.document_head import calibration_notes, listed_instrumen
 from agent.reports.page.identity import validity
 from agent.reports.page.texts import Texts
 from agent.results.gates.gate_rules import GATE_RULES
-from agent.results.run_verdict import ACCEPTED, CONFIRMED, FUSED, MEASURED, OUT, WITHIN
 from agent.settings.report import Laboratory, MachineIdentity, ReportSettings
 from drivers.errors import ConfigurationError
 
@@ -39,7 +38,6 @@ MEANINGS: Final = {
     "tolerance": "tolerance of a quantity",
 }
 """Meaning of each `refType` that the program defines, without its prefix."""
-_MEASURED: Final = (ACCEPTED, CONFIRMED, FUSED, WITHIN, OUT, MEASURED)
 
 
 def completed(document: ReportSettings, now: ReportSettings) -> ReportSettings:
@@ -76,12 +74,6 @@ def _missing(document: ReportSettings) -> Iterator[str]:
         yield "report.machine.serial_number"
     if document.measured_by is None and document.approved_by is None:
         yield "report.measured_by"
-
-
-def may_state_conformity(data: ReportData) -> bool:
-    """Return True if the run measured what it was to measure. A run that was refused, stopped or not proved has results
-    that no tolerance is compared with."""
-    return data.header.verdict is None or data.header.verdict in _MEASURED
 
 
 def was_measured(found: IdentificationData) -> bool:
@@ -181,12 +173,12 @@ def _add_persons(head: etree._Element, stated: ReportSettings) -> None:
 def _add_statements(head: etree._Element, data: ReportData, found: IdentificationData, t: Texts) -> None:
     """Add what must be known of the results: verdict, coverage, decision rule, accreditation, validity and notes."""
     statements = add(head, "statements")
-    _add_verdict(statements, data)
+    _add_verdict(statements, data, t)
     coverage = add(statements, "statement")
     add_words(coverage, "name", "Uncertainty")
     add(coverage, "norm", "JCGM 100:2008")
     add_words(coverage, "declaration", t["convention"])
-    if data.document.tolerances and may_state_conformity(data):
+    if data.tolerances:
         rule = add(statements, "statement")
         add_words(rule, "name", "Decision rule")
         add(rule, "norm", "ISO 14253-1")
@@ -211,7 +203,7 @@ def _add_statements(head: etree._Element, data: ReportData, found: Identificatio
             add_words(one, "declaration", *sentences)
 
 
-def _add_verdict(statements: etree._Element, data: ReportData) -> None:
+def _add_verdict(statements: etree._Element, data: ReportData, t: Texts) -> None:
     """Add how the run ended, and each limit that it did not meet."""
     verdict = data.header.verdict
     if verdict is not None:
@@ -219,8 +211,8 @@ def _add_verdict(statements: etree._Element, data: ReportData) -> None:
         add_translated(one, "name", verdict.word)
         add_translated(one, "declaration", verdict.sentence)
     remarks = []
-    if data.document.tolerances and not may_state_conformity(data):
-        remarks.append("No conformity with a tolerance is stated, because of how the run ended.")
+    if data.withholds_conformity:
+        remarks.append(t["no_conformity"])
     remarks += [
         f"The limit of the {GATE_RULES[gate.name].title} was not met: {gate.text}"
         for gate in data.gates

@@ -10,7 +10,6 @@ from lxml import etree
 from agent.reports.digital_certificate.administration import (
     NAMESPACE,
     add_equipment,
-    may_state_conformity,
     was_measured,
 )
 from agent.reports.digital_certificate.elements import add, add_real, add_software, add_words
@@ -45,10 +44,8 @@ def add_results(
     if was_measured(found):
         _add_conditions(measured, found)
     listed = add(measured, "results")
-    # no conformity is stated for a run that was refused or did not end as planned
-    tolerances = data.document.tolerances if may_state_conformity(data) else {}
-    _add_volumetric(listed, data, found, tolerances, t)
-    _add_geometric(listed, found, tolerances, t)
+    _add_volumetric(listed, data, found, t)
+    _add_geometric(listed, found, data.tolerances, t)
     _add_acceptance(listed, found, table, t)
 
 
@@ -82,11 +79,8 @@ def _add_result(listed: etree._Element, name: str, *sentences: str) -> etree._El
     return add(result, "data")
 
 
-def _add_volumetric(
-    listed: etree._Element, data: ReportData, found: IdentificationData, tolerances: Mapping[str, float], t: Texts
-) -> None:
-    proof, summary = data.run.verification, found.volumetric
-    active = proof is not None and proof.accepted
+def _add_volumetric(listed: etree._Element, data: ReportData, found: IdentificationData, t: Texts) -> None:
+    proof, summary, active = data.run.verification, found.volumetric, data.new_table_active
     values = _add_result(
         listed,
         "Volumetric errors",
@@ -95,13 +89,15 @@ def _add_volumetric(
         if active
         else "Values with the compensation table are predicted: the table was not active after the run.",
     )
-    _add_quantity(values, "volumetricError", t["tile_before"], summary.before_aligned, tolerance=tolerances.get("VE"))
+    _add_quantity(
+        values, "volumetricError", t["tile_before"], summary.before_aligned, tolerance=data.tolerances.get("VE")
+    )
     _add_quantity(
         values,
         "volumetricCompensatedError",
         t["tile_after"],
         summary.after_aligned,
-        tolerance=tolerances.get("VCE") if active else None,
+        tolerance=data.tolerances.get("VCE") if active else None,
     )
     if proof is not None:
         _add_quantity(values, "heldOutResidual", t["tile_held_out"], proof.after)

@@ -15,7 +15,7 @@ import numpy as np
 
 from agent.results.facts import ArtefactFacts, ProbeFacts, Quantity, TableFacts, VolumetricSummary
 from agent.results.gates.gate import Gate
-from agent.results.run_verdict import RunVerdict
+from agent.results.run_verdict import ACCEPTED, CONFIRMED, FUSED, MEASURED, OUT, WITHIN, RunVerdict
 from agent.results.travel_parts import TravelParts
 from agent.settings.report import ReportSettings
 from agent.thermal.thermometer import ThermometerFacts
@@ -83,6 +83,8 @@ class JournalEstimate(StoredEstimate):
 
 ReportedEstimate: TypeAlias = Estimate | JournalEstimate
 """Estimate of the machine's errors that has just been made, or that was read from the journal of a run."""
+_MEASURED = (ACCEPTED, CONFIRMED, FUSED, WITHIN, OUT, MEASURED)
+"""Verdicts on runs that measured what they were to measure."""
 SAME_ANGLE_DEG = 0.01
 SIDES_DEG = (0.0, 90.0, 180.0, -90.0)
 
@@ -307,6 +309,25 @@ class ReportData:
     warnings: tuple[str, ...] = ()
     run: RunFacts = RunFacts()
     document: ReportSettings = field(default_factory=ReportSettings)
+
+    @property
+    def tolerances(self) -> Mapping[str, float]:
+        """Tolerances of the settings with which the results are compared. They are compared with none if the run was
+        refused, stopped or not proved."""
+        verdict = self.header.verdict
+        return self.document.tolerances if verdict is None or verdict in _MEASURED else {}
+
+    @property
+    def withholds_conformity(self) -> bool:
+        """True if the settings state tolerances with which the results are not compared."""
+        return bool(self.document.tolerances) and not self.tolerances
+
+    @property
+    def new_table_active(self) -> bool:
+        """True if the run ended with a new compensation table active and proved. A run that is stopped, or ends with an
+        error, after its proof takes the table back."""
+        proof, verdict = self.run.verification, self.header.verdict
+        return proof is not None and proof.accepted and (verdict is None or verdict is ACCEPTED)
 
 
 def name_of_positions(positions: Sequence[Position]) -> str:

@@ -115,7 +115,7 @@ def method(data: ReportData, t: Texts) -> list[str]:
 
 def standards(data: ReportData, t: Texts) -> list[str]:
     """Return the standards that were applied, each with what it was applied to, and the procedures of the settings."""
-    identified, limited = data.identification is not None, bool(data.document.tolerances)
+    identified, limited = data.identification is not None, bool(data.tolerances)
     applied = {
         "standard_names": identified,
         "standard_compensation": identified,

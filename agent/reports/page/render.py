@@ -82,15 +82,16 @@ def page_values(data: ReportData, t: Texts) -> dict[str, Any]:
 
 def _identification(data: ReportData, identification: IdentificationData, t: Texts) -> dict[str, Any]:
     """Return the values of the sections that need an estimate."""
-    proof, predicted = data.run.verification, identification.acceptance
+    predicted = identification.acceptance
     return {
         "summary": identification_sections.summary_table(data, identification, t),
         "travel": identification_sections.travel_table(identification, t),
         "limits": error_table.volumetric_conformity(
-            identification, data.document.tolerances, t, table_active=proof is not None and proof.accepted
+            identification, data.tolerances, t, table_active=data.new_table_active
         ),
-        "errors": error_table.error_tables(identification, data.document.tolerances, t),
-        "limited": bool(data.document.tolerances),
+        "errors": error_table.error_tables(identification, data.tolerances, t),
+        "limited": bool(data.tolerances),
+        "withheld": data.withholds_conformity,
         "budget": budget_table(identification, np.asarray(data.tool_offset), t),
         "acceptance": None if predicted is None else error_table.acceptance_table(predicted, t),
         "not_measured": () if predicted is None else predicted.not_measured,

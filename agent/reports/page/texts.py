@@ -180,6 +180,7 @@ ENGLISH: Texts = {
     "does_not_conform": "does not conform",
     "undecided": "neither proven",
     "not_determined": "not determined by this run",
+    "no_conformity": "No conformity with a tolerance is stated, because of how the run ended.",
     "table_not_active": "the new table is not active",
     "tolerated_ve": "VE without table",
     "tolerated_vce": "VCE with table, predicted",

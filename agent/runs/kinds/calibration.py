@@ -184,7 +184,8 @@ def _weigh(
     task: CalibrationTask, ready: PreparedRun, estimation: EstimationResult, measured: MeasuredPositions
 ) -> _Weighed:
     """Weigh a new table against the active one. The active one is confirmed unless the gain reaches the stated margin
-    or the machine has changed, and the proof can show the effect of the new one."""
+    and the proof can show the effect of the new one. On a machine that has changed it is never confirmed: the run is
+    refused if the effect of a new one could not be shown."""
     job = task.job
     new_um = estimation.volumetric.after_aligned.value_um
     gain = expected_gain(estimation.estimate, new_um, ready.correction, job.tool_offset_mm)
@@ -204,7 +205,7 @@ def _weigh(
     proof = proof_gate(power_of_proof(job, ready, estimation, measured))
     if proof.passed:
         return _Weighed(gain, proof.value, (*to_write, proof), way)
-    if way == WRITE:
+    if way == WRITE and not changed:
         return _Weighed(gain, proof.value, gates, KEEP)
     return _Weighed(gain, proof.value, (*to_write, proof), REFUSE)
 

@@ -27,6 +27,7 @@ from twin.machine.volumetric import evaluation_grid
 from twin.monitoring.night_fit import NightFit
 from twin.monitoring.residual_with_active_table import ResidualWithTable, residual_covariance, uncompensated
 from twin.monitoring.step_detection import Innovation, PossibleJump, innovation
+from twin.monitoring.step_power import StepPower
 from twin.units import UM_PER_MM
 
 _LIKELIEST = 5
@@ -46,6 +47,11 @@ class Judgement:
     @property
     def within(self) -> bool:
         return not self.report.reason
+
+    @property
+    def power(self) -> StepPower:
+        """Power of the measured balls to find a sudden change (step) of a machine error."""
+        return StepPower(self.found.unknowns, self.found.information)
 
 
 @dataclass(frozen=True, eq=False)

@@ -51,6 +51,12 @@ class VerificationChoice:
         found = [step for step in self.steps if step.error in SQUARENESS]
         return largest_of(found) if found else None
 
+    def worst_found(self, measured: StepPower) -> SmallestStep | None:
+        """Return the step of the squareness that is found worst by what was `measured`, which is less than planned if
+        balls or positions were left out; None if no squareness of the machine can change."""
+        found = [measured.smallest(step.error, self.evidence) for step in self.steps if step.error in SQUARENESS]
+        return largest_of(found) if found else None
+
 
 @dataclass(frozen=True, eq=False)
 class VerificationChooser:

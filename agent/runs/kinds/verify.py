@@ -26,8 +26,11 @@ from agent.runs.kinds.run_parts import PreparedRun, complete, found_compensation
 from agent.runs.kinds.verification_choice import VerificationChoice, VerificationChooser
 from agent.runs.planned_run import PlannedRun, StartConditions, plan_run
 from agent.runs.reference_state import ReferenceState, active_digest, require_reference
+from twin.monitoring.step_power import SmallestStep
 
 ITS_TABLE, OTHER_TABLE = "accepted table active", "another table active"
+_LITTLE = 0.1
+"""Share by which the smallest step found may exceed the planned one without a warning."""
 
 
 @dataclass(frozen=True)
@@ -80,9 +83,20 @@ def verified_report(
     judge: Judge, choice: VerificationChoice, balls: Sequence[MeasuredBall], correction: Correction
 ) -> NightReport:
     """Compare the measured `balls` of a verification with the prediction from the last accepted night. No estimate uses
-    them, so all of them are held out."""
-    report = judge.judge_balls(choice.station, balls, balls, correction, choice.evidence).report
-    return replace(report, finds=choice.worst_squareness)
+    them, so all of them are held out. The smallest step that the verification finds is that of the balls which were
+    measured; the report warns if it is clearly larger than planned."""
+    judgement = judge.judge_balls(choice.station, balls, balls, correction, choice.evidence)
+    planned, finds = choice.worst_squareness, choice.worst_found(judgement.power)
+    return replace(judgement.report, finds=finds, warning=_shortfall(planned, finds))
+
+
+def _shortfall(planned: SmallestStep | None, finds: SmallestStep | None) -> str:
+    """Return what balls that were not measured cost a verification, in words; empty if it is little."""
+    if planned is None or planned.size is None or finds is None:
+        return ""
+    if finds.size is not None and finds.size <= (1.0 + _LITTLE) * planned.size:
+        return ""
+    return f"too few balls were measured: smallest squareness step found {finds.text}, planned {planned.text}"
 
 
 def with_table_of(reference: ReferenceState, then: Callable[[ActiveCompensation], RunPlan]) -> RunPlan:

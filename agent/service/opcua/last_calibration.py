@@ -60,7 +60,7 @@ def journal_results(directory: Path) -> JournalResults:
 def _latest_results(reader: JournalReader) -> Iterator[CalibrationResult]:
     """Yield the results of the runs that have ended and have stated a volumetric error, the latest first."""
     for run in reader.latest_begun_runs():
-        figures = run_figures(reader.decision_records(run.run))
+        figures = run_figures(run.state, reader.decision_records(run.run))
         if run.ended is None or (figures.ve_um is None and figures.vce_um is None):
             continue
         verdict = verdict_of(run.kind, run.state, ended=True, accepted=figures.accepted, decision=figures.decision)

@@ -129,7 +129,7 @@ class Archive:
     def _summary(self, reader: JournalReader, counts: RunCounts) -> Document:
         run = counts.run
         decision = reader.decision_records(run.run)
-        figures = run_figures(decision)
+        figures = run_figures(run.state, decision)
         running = run.ended is None and run.run_id == self.running()
         verdict = verdict_of(
             run.kind,

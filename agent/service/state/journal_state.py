@@ -188,7 +188,7 @@ def _journaled_code(reader: JournalReader, run: RunRow) -> AlarmCode:
 
 
 def _verdict(reader: JournalReader, run: RunRow) -> RunVerdict:
-    figures = run_figures(reader.decision_records(run.run))
+    figures = run_figures(run.state, reader.decision_records(run.run))
     return verdict_of(run.kind, run.state, ended=True, accepted=figures.accepted, decision=figures.decision)
 
 
@@ -204,9 +204,9 @@ def _volumetric_errors(settings: Settings, base: Path) -> tuple[float | None, fl
     with open_journal(settings.state_directory, JournalFailed) as reader:
         accepted = reader.require_run(last.run_id)
         active = reader.last_active_table(ACTIVATING_DECISIONS)
-        ve_um = run_figures(reader.decision_records(accepted.run)).ve_um
+        ve_um = run_figures(accepted.state, reader.decision_records(accepted.run)).ve_um
         if active is None or (active.crc32 or 0) != last.table.crc32:
             return ve_um, None
         since = (row for row in reader.latest_begun_runs() if row.run >= accepted.run)
-        stated = (run_figures(reader.decision_records(row.run)).vce_um for row in since)
+        stated = (run_figures(row.state, reader.decision_records(row.run)).vce_um for row in since)
         return ve_um, next((vce_um for vce_um in stated if vce_um is not None), None)

@@ -27,6 +27,7 @@ from agent.reports.digital_certificate import from_journal
 from agent.reports.digital_certificate.certificate_of_report import certificate_of_report
 from agent.reports.page import ReportData, VerificationFacts
 from agent.reports.page.error_table import error_rows
+from agent.reports.page.render import render_report
 from agent.reports.page.texts import ENGLISH
 from agent.results import run_verdict
 from agent.results.facts import Quantity
@@ -231,7 +232,9 @@ def statements(root: etree._Element) -> dict[str, str]:
     }
 
 
-@pytest.mark.parametrize("verdict", [run_verdict.REFUSED, run_verdict.ABORTED, run_verdict.PROOF_FAILED])
+@pytest.mark.parametrize(
+    "verdict", [run_verdict.REFUSED, run_verdict.FAULTED, run_verdict.ABORTED, run_verdict.PROOF_FAILED]
+)
 def test_no_conformity_is_stated_for_a_run_that_did_not_end_well(verdict: RunVerdict, data: ReportData) -> None:
     gate = Gate(CERTIFICATE, False, 3.0, 1.0, "ball 3 contradicts its certificate")
     bad = replace(data, header=replace(data.header, verdict=verdict), gates=(gate,))
@@ -243,6 +246,18 @@ def test_no_conformity_is_stated_for_a_run_that_did_not_end_well(verdict: RunVer
     assert "No conformity with a tolerance is stated" in told["Limitations of the results"]
     assert "ball 3 contradicts its certificate" in told["Limitations of the results"]
     assert verdict.sentence["de"] in etree.tostring(made, encoding="unicode")
+    report = render_report(replace(bad, document=settings()))
+    assert "No conformity with a tolerance is stated" in report
+    assert "conforms" not in report
+
+
+def test_a_table_that_was_taken_back_after_its_proof_is_not_active(data: ReportData) -> None:
+    limited = replace(proved(data), document=settings(tolerances={"VCE": 1000.0}))
+    for verdict, active in ((run_verdict.ACCEPTED, True), (run_verdict.FAULTED, False)):
+        ended = replace(limited, header=replace(data.header, verdict=verdict))
+        made = etree.tostring(read(certificate_of_report(ended, settings(), DAY)), encoding="unicode")
+        assert ("The compensation table was active after the run" in made) is active
+        assert ("conforms" in render_report(ended)) is active
 
 
 def test_the_decision_rule_is_stated_with_a_conformity(root: etree._Element, data: ReportData) -> None:

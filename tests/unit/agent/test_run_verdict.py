@@ -78,6 +78,7 @@ ENDS = (
     End("restored", kind="restore"),
     End("measured", kind="try"),
     End("aborted", RunState.ABORTED),
+    End("aborted", RunState.ABORTED, proved=True),
     End("faulted", RunState.FAULTED, proved=True),
     End("written-not-active", RunState.WRITTEN, final=False),
     End("unfinished", RunState.MEASURING, final=False),
@@ -141,6 +142,8 @@ def test_the_figure_with_table_is_that_of_the_table_which_is_active_at_the_end(t
 
     assert vce(End("accepted", proved=True), "accepted") == 10.0
     assert vce(End("proof-failed", proved=False), "failed") is None
+    assert vce(End("faulted", RunState.FAULTED, proved=True), "taken back") is None
+    assert vce(End("aborted", RunState.ABORTED, proved=True), "taken back by a person") is None
     assert vce(End("confirmed", outcome=CONFIRMED_END), "confirmed") == 11.0
     assert vce(End("proof-failed", kind="nightly", night=Decision.RESTORED, proved=False), "night") == 12.0
 

@@ -5,20 +5,26 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
+import pytest
 from study_case import shipped_job
 
 from agent.cli.printing import results_console
 from agent.cli.run_commands.verification_table import power_notes, power_table, power_text
+from agent.probing.measured_balls import no_correction
+from agent.results.run_outcome import Decision, NightReport
 from agent.runs.kinds.position_choice import PositionChooser
 from agent.runs.kinds.verification_choice import VerificationChooser
 from agent.runs.kinds.verification_power import verification_power
+from agent.runs.kinds.verify import verified_report
 from twin.identification import CarriedOverPrior
 from twin.identification.scales import Scales
 from twin.identification.unknowns import Unknowns
 from twin.machine.error_model import SQUARENESS
-from twin.monitoring.step_power import POWER
+from twin.monitoring.step_power import POWER, SmallestStep, StepPower
 
 
 @cache
@@ -46,6 +52,28 @@ def test_the_fewest_positions_find_the_step_and_one_position_less_does_not() -> 
     assert worst.size <= 10.0
     assert any(step.size is None or step.size > 10.0 for step in fewer.steps if step.error in SQUARENESS)
     assert all(of.power(choice.positions).power(e, 10.0, choice.evidence) >= POWER for e in SQUARENESS)
+
+
+def test_the_step_that_is_stated_is_that_of_the_balls_which_were_measured() -> None:
+    of = chooser()
+    choice = of.choice()
+
+    def stated(measured: StepPower) -> tuple[SmallestStep | None, str]:
+        judgement = SimpleNamespace(report=NightReport(Decision.WITHIN, "run", 1.0, 1, 2), power=measured)
+        judge: Any = SimpleNamespace(judge_balls=lambda *_: judgement)
+        made = verified_report(judge, choice, (), no_correction)
+        return made.finds, made.warning
+
+    assert stated(of.power(choice.positions)) == (choice.worst_squareness, "")
+    fewer = of.power(choice.positions[:1])
+    finds, warning = stated(fewer)
+    assert finds is not None
+    assert finds.size is not None
+    assert finds.size > 11.0
+    assert fewer.power(finds.error, finds.size, choice.evidence) == pytest.approx(POWER)
+    assert "too few balls were measured" in warning
+    nothing = replace(fewer, information=np.zeros_like(fewer.information))
+    assert "not found" in stated(nothing)[1]
 
 
 def test_a_step_that_no_position_finds_takes_as_many_positions_as_a_night() -> None:
