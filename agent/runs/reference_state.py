@@ -20,6 +20,7 @@ from agent.execution.journal import RunJournal
 from agent.execution.journal_reader import ANY_RUN, has_journal, open_journal
 from agent.execution.journal_rows import DecisionRow
 from agent.execution.journal_schema import FILE_NAME
+from agent.execution.stored_json import damage_reported
 from agent.files import translated, write_atomically
 from agent.planning.job import Job
 from drivers.errors import ConfigurationError, InputError
@@ -202,8 +203,9 @@ def _reference(directory: Path, before_run: int) -> ReferenceState | None:
     if estimate is None:
         raise InputError("the accepted run has no estimate", file=str(directory / FILE_NAME), run=decision.run_id)
     known = parse_estimate(estimate, source)
-    written = np.array(decision.record["written"], dtype=np.float64)
-    accepted = AcceptedTable(**{**decision.record, "written": written})
+    with damage_reported(InputError, directory / FILE_NAME):
+        written = np.array(decision.record["written"], dtype=np.float64)
+        accepted = AcceptedTable(**{**decision.record, "written": written})
     return ReferenceState(decision.run_id, decision.at, accepted, known)
 
 

@@ -74,9 +74,9 @@ class JournalState:
             measured = (run.started, reader.count_balls(run.run), reader.count_touches(run.run))
             recorded, verdict = _recorded_alarm(reader, run.run), _verdict(reader, run)
             journaled = _journaled_code(reader, run)
+            state = RunState(run.state)
         left = unfinished_run(self.directory)
         resumes = f"; `volcal resume` then resumes run {left.run_id}" if left is not None and left.resumable else ""
-        state = RunState(run.state)
         if state in _ENDED_BADLY and (recorded is not None or state in STICKY):
             hint = f"remove the cause, then reset{resumes}"
             alarm = recorded or Alarm(journaled.code, run.reason or state.value, hint)

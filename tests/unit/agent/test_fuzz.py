@@ -21,7 +21,7 @@ from campaigns.fuzz import __main__ as fuzz
 from campaigns.fuzz.catalogue import quick_decoders
 from campaigns.fuzz.device_decoders import device_decoders
 from campaigns.fuzz.file_decoders import file_decoders
-from campaigns.fuzz.journal_decoder import read_everything
+from campaigns.fuzz.journal_decoder import read_everything, run_for_journal
 from campaigns.fuzz.mutation import mutated
 from campaigns.fuzz.state_decoders import state_decoders
 from campaigns.fuzz.trial import LARGEST_GROWTH_BYTES, Decoder, excesses, tried
@@ -90,6 +90,28 @@ def test_a_damaged_journal_is_refused_in_words(tmp_path: Path) -> None:
     found = tried(decoder, COUNT, SEED)
     assert not found.failures
     assert found.refused > 0
+
+
+@pytest.fixture(scope="module")
+def whole_journal() -> bytes:
+    """Return the journal of a run whose table was accepted."""
+    return run_for_journal().journal
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "UPDATE decisions SET record = replace(record, 'artefact', 'artefuct') WHERE kind = 'accepted'",
+        "UPDATE runs SET state = 'walking'; UPDATE origins SET begun_s = NULL; DELETE FROM steps",
+    ],
+)
+def test_a_damaged_row_is_refused_in_words_by_each_reader(damage: str, whole_journal: bytes) -> None:
+    with closing(sqlite3.connect(":memory:")) as journal:
+        journal.deserialize(whole_journal)
+        journal.executescript(damage)
+        assert journal.total_changes > 0
+        with pytest.raises(VolcalError, match="the journal is damaged"):
+            read_everything(journal.serialize())
 
 
 def test_what_is_wrong_is_found() -> None:

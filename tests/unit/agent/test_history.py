@@ -300,6 +300,8 @@ class TestPlace:
             "UPDATE volcal_runs SET ve_before_um = 9e999",
             "UPDATE volcal_runs SET started = 'yesterday'",
             "UPDATE volcal_parameters SET value = 'large'",
+            "UPDATE volcal_parameters SET value = -1e200",
+            "UPDATE volcal_runs SET ve_before_um = 1e200",
             "UPDATE volcal_decisions SET record = '{'",
             "UPDATE volcal_decisions SET record = '{\"value\": 1e999}'",
             "UPDATE volcal_decisions SET record = '{\"value\": NaN}'",
