@@ -98,6 +98,9 @@ def test_verification_compares_and_writes_nothing(machine: Calibrated) -> None:
     assert night is not None
     assert night.since == machine.first.outcome.run_id
     assert night.positions == 2
+    assert night.finds is not None
+    assert night.finds.size is not None
+    assert night.warning == ""  # all balls were measured: the smallest step found is the planned one, within 10 %
     document = ended.outcome.as_json()
     assert document["kind"] == "verify"
     assert document["night"]["decision"] == "within limits"  # type: ignore[index]

@@ -107,13 +107,14 @@ class PositionChooser:
         return tuple(islice(ranked, count))
 
     def step_power(self, prior: CarriedOverPrior, positions: Sequence[Position]) -> StepPower:
-        """Return the power of a measurement of `positions` to find a sudden change (step) of a machine error."""
+        """Return the power of a measurement of `positions` to find a sudden change (step) of a machine error, if the
+        touches scatter as in the last accepted night."""
         offered = self._offered()
         # The sets of a verification are asked for one after the other, out of the same positions: one search has all.
         search, _ = self._search(prior, offered if set(positions) <= set(offered) else positions)
         index_of = {position: index for index, position in enumerate(search.candidates.positions)}
         places = [index_of[position] for position in positions if position in index_of]
-        return StepPower.of(prior.unknowns, search.candidates.factors[places], prior.covariance)
+        return StepPower.of(prior.unknowns, search.candidates.factors[places] / prior.scales.noise, prior.covariance)
 
     def finding_steps(self, prior: CarriedOverPrior, steps: Mapping[str, float]) -> tuple[Position, ...]:
         """Return the positions at this station that find the given steps fastest, in the order of their choice.
@@ -125,7 +126,8 @@ class PositionChooser:
         candidates = search.candidates
         usable = [index for index in range(candidates.count) if search.is_measurable(index)]
         minutes = search.costs.minutes[usable]
-        ranked = rank_by_power(prior.unknowns, candidates.factors[usable], prior.covariance, steps, minutes)
+        factors = candidates.factors[usable] / prior.scales.noise
+        ranked = rank_by_power(prior.unknowns, factors, prior.covariance, steps, minutes)
         return tuple(candidates.positions[usable[number]] for number in ranked)
 
     def discriminating(

@@ -91,12 +91,13 @@ def verified_report(
 
 
 def _shortfall(planned: SmallestStep | None, finds: SmallestStep | None) -> str:
-    """Return what balls that were not measured cost a verification, in words; empty if it is little."""
+    """Return in words how much less than planned a verification finds, for example because balls were left out; empty
+    if it is little."""
     if planned is None or planned.size is None or finds is None:
         return ""
     if finds.size is not None and finds.size <= (1.0 + _LITTLE) * planned.size:
         return ""
-    return f"too few balls were measured: smallest squareness step found {finds.text}, planned {planned.text}"
+    return f"less is found than planned: smallest squareness step {finds.text}, planned {planned.text}"
 
 
 def with_table_of(reference: ReferenceState, then: Callable[[ActiveCompensation], RunPlan]) -> RunPlan:

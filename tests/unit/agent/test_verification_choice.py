@@ -71,9 +71,21 @@ def test_the_step_that_is_stated_is_that_of_the_balls_which_were_measured() -> N
     assert finds.size is not None
     assert finds.size > 11.0
     assert fewer.power(finds.error, finds.size, choice.evidence) == pytest.approx(POWER)
-    assert "too few balls were measured" in warning
+    assert "less is found than planned" in warning
     nothing = replace(fewer, information=np.zeros_like(fewer.information))
     assert "not found" in stated(nothing)[1]
+
+
+def test_a_machine_whose_touches_scatter_twice_as_much_finds_larger_steps_only() -> None:
+    of = chooser()
+    positions = of.choice().positions
+    louder = VerificationChooser.of(PositionChooser(of.chooser.job, 1), replace(of.prior, scales=Scales(noise=2.0)))
+    quiet, loud = (one.found(positions).worst_squareness for one in (of, louder))
+    assert quiet is not None
+    assert loud is not None
+    assert quiet.size is not None
+    assert loud.size is not None
+    assert 1.2 * quiet.size < loud.size < 2.0 * quiet.size  # the drift since the last night scatters no more
 
 
 def test_a_step_that_no_position_finds_takes_as_many_positions_as_a_night() -> None:
