@@ -30,6 +30,7 @@ if will_run():
     from agent.execution.run_lock import ownership
     from agent.files import write_all_atomically, write_atomically
     from agent.history.database_url import database_address
+    from agent.history.dated_ahead import by_date
     from agent.history.export import as_csv, as_json, run_document
     from agent.history.retention import Compaction, compact, due_runs
     from agent.history.schema import StoredRun
@@ -90,11 +91,10 @@ def trend_command(
     # The mathematics of trends is slow to import, and the list of runs does not need it.
     from agent.history.helpful_actions import alarms_json, helpful_actions, hint_of  # noqa: PLC0415
     from agent.history.overview import alarms_of, most_relevant, select_trends, trends_of  # noqa: PLC0415
-    from agent.history.trends import AlarmKind  # noqa: PLC0415
 
     with opened_history(config) as (settings, store):
-        runs = store.runs(machine or store.address.machine)
-        trends = trends_of(runs, settings.history)
+        runs = by_date(store.runs(machine or store.address.machine), datetime.fromisoformat(utc_timestamp()))
+        trends = trends_of(runs.counted, settings.history)
     if not trends:
         raise InputError("no run has produced a value yet", hint="`volcal history list` shows all runs")
     shown = select_trends(trends, names) if names else most_relevant(trends, 12)
@@ -102,8 +102,8 @@ def trend_command(
         from agent.history.figure import draw_trends  # noqa: PLC0415  drawing libraries are slow to import
 
         write_all_atomically(figure.parent, {figure.name: draw_trends(shown).in_format_of(figure)})
-    alarms = alarms_of(trends)
-    actions = helpful_actions(trends, runs, settings.state_directory, settings.machine)
+    alarms = alarms_of(trends, runs.ahead)
+    actions = helpful_actions(trends, runs.counted, settings.state_directory, settings.machine)
     if as_json_object:
         helps = {name: action.as_json() for name, action in actions.items()}
         document = {
@@ -113,7 +113,7 @@ def trend_command(
         click.echo(json.dumps(document, allow_nan=False))
     else:
         results_console().print(_trend_table(shown))
-    grave = [alarm for alarm in alarms if alarm.kind is not AlarmKind.CONTROL]
+    grave = [alarm for alarm in alarms if alarm.kind.of_tolerance]
     for alarm in alarms:
         click.echo(f"{alarm.kind.value}: {alarm.text}", err=True)
     if grave:
@@ -162,7 +162,10 @@ def plant_command(config: Path, html: Path | None, language: Language | None, as
 
     now = datetime.fromisoformat(utc_timestamp())
     with opened_history(config) as (settings, store):
-        machines = plant_summaries(store.recent_runs(RECENT_RUNS), now)
+        machines = plant_summaries(store.recent_runs(RECENT_RUNS, now), now)
+    for one in machines:
+        if one.ahead:
+            click.echo(f"note: {one.machine}: {one.ahead_text}", err=True)
     if html is not None:
         write_atomically(html, plant_html(machines, store.address.text, now, language or settings.report.language))
     if as_json_object:

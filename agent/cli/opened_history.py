@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
+from datetime import datetime
 from pathlib import Path
 
 import click
 
 from agent.history.database_url import database_address
+from agent.history.dated_ahead import ahead_text, by_date
+from agent.history.schema import StoredRun
 from agent.history.store import HistoryStore
 from agent.history.sync import sync_ends
 from agent.settings.load import naming, read_settings
 from agent.settings.schema import Settings
+from drivers.clock import utc_timestamp
 from drivers.errors import InputError
 
 
@@ -30,3 +34,12 @@ def opened_history(config: Path) -> Iterator[tuple[Settings, HistoryStore]]:
             except InputError as error:
                 click.echo(f"note: {error}", err=True)
             yield settings, store
+
+
+def counted_runs(store: HistoryStore) -> Sequence[StoredRun]:
+    """Return the runs of this machine, the oldest first, without those that are dated in the future, which a note on
+    stderr names."""
+    runs = by_date(store.runs(store.address.machine), datetime.fromisoformat(utc_timestamp()))
+    if runs.ahead:
+        click.echo(f"note: {ahead_text(runs.ahead)}", err=True)
+    return runs.counted

@@ -18,7 +18,7 @@ from agent.cli.options import FIGURE, PATH, config_option
 if will_run():
     from rich.table import Table
 
-    from agent.cli.opened_history import opened_history
+    from agent.cli.opened_history import counted_runs, opened_history
     from agent.cli.printing import columns_table, readings_text, results_console
     from agent.files import write_all_atomically
     from agent.settings.load import naming
@@ -88,7 +88,7 @@ def thermal_command(config: Path, sensors: tuple[str, ...], figure: Path | None,
     from agent.history.sensor_drift import sensor_drift  # noqa: PLC0415  mathematics that the list of runs needs not
 
     with opened_history(config) as (settings, store):
-        found = sensor_drift(store.runs(store.address.machine), settings, sensors)
+        found = sensor_drift(counted_runs(store), settings, sensors)
     if figure is not None:
         from agent.history.thermal_figure import draw_thermal  # noqa: PLC0415  drawing libraries are slow to import
 
@@ -143,7 +143,7 @@ def now_command(
     read_from = None
     moment = datetime.fromisoformat(utc_timestamp()) if at is None else at
     with opened_history(config) as (settings, store):
-        drift = sensor_drift(store.runs(store.address.machine), settings, sensors)
+        drift = sensor_drift(counted_runs(store), settings, sensors)
     if drift.found.taken and not temperatures and at is None:
         from agent.cli.temperatures_now import temperatures_now  # noqa: PLC0415  drivers, which others need not
 

@@ -13,7 +13,7 @@ from typing import Any
 from agent.files import present_file
 from agent.history.schema import StoredRun
 from agent.history.series import ACTIVE, BARE, HELD_OUT
-from agent.history.trends import AlarmKind, Trend, TrendAlarm
+from agent.history.trends import Trend, TrendAlarm
 from agent.workpiece.estimate_and_table import ESTIMATE_NAME
 from agent.workpiece.proposed_actions import ProposedActions, propose_actions
 from drivers.errors import InputError
@@ -62,7 +62,7 @@ def helpful_actions(
     Mechanical actions are those of the latest of the `runs`, oldest first, whose folder in `state_directory` has an
     estimate. `machine` is the machine file that states guides and feet, None without one.
     """
-    grave = [trend for trend in trends if any(alarm.kind is not AlarmKind.CONTROL for alarm in trend.alarms)]
+    grave = [trend for trend in trends if any(alarm.kind.of_tolerance for alarm in trend.alarms)]
     names = [trend.series.name for trend in grave]
     found = {name: HelpfulAction("calibrate anew: the table no longer fits the machine") for name in names}
     mechanical = [trend for trend in grave if trend.series.name not in (ACTIVE, HELD_OUT)]
@@ -101,8 +101,8 @@ def alarms_json(alarms: Sequence[TrendAlarm], actions: Mapping[str, HelpfulActio
 
 
 def hint_of(alarm: TrendAlarm, actions: Mapping[str, HelpfulAction]) -> str:
-    """Return what helps most against the cause of an alarm, an empty text for an alarm about control limits."""
-    action = None if alarm.kind is AlarmKind.CONTROL else actions.get(alarm.series)
+    """Return what helps most against the cause of an alarm, an empty text for one that is not about a tolerance."""
+    action = actions.get(alarm.series) if alarm.kind.of_tolerance else None
     return "" if action is None else action.text
 
 

@@ -13,6 +13,7 @@ from prometheus_client import CollectorRegistry, Gauge, generate_latest
 from agent.execution.states import FINAL
 from agent.history.cached_trends import CachedTrends
 from agent.history.database_url import database_address
+from agent.history.dated_ahead import RunsByDate
 from agent.history.kept_documents import KeptDocuments
 from agent.history.overview import VOLUMETRIC, alarms_of
 from agent.history.schema import StoredRun, utc_time
@@ -27,17 +28,16 @@ ACCEPTED = "complete"
 
 
 def metrics_text(
-    machine: str, runs: Sequence[StoredRun], trends: Sequence[Trend], live: Mapping[str, float] | None = None
+    machine: str, runs: RunsByDate[StoredRun], trends: Sequence[Trend], live: Mapping[str, float] | None = None
 ) -> str:
-    """Return all metrics of `machine` in the text format of Prometheus. `runs` contains all runs of the machine, sorted
-    with the oldest run first.
+    """Return all metrics of `machine` in the text format of Prometheus. `runs` contains all runs of the machine.
 
     `live` contains the values of further metrics of the service by name. The metric `link_errors`, for example, is
     written as `volcal_link_errors`. Metrics of the service process itself, such as its memory, are not included.
     """
     registry = CollectorRegistry()
     _of_runs(registry, machine, runs)
-    _of_trends(registry, machine, trends)
+    _of_trends(registry, machine, trends, runs.ahead)
     return generate_latest(registry).decode() + live_text(machine, live or {})
 
 
@@ -69,16 +69,16 @@ class CachedMetrics:
                 self._key, self._text = key, kept.read(key, str).get(_TEXT)
             if self._text is None:
                 found = self._trends.current(settings)
-                self._key, self._text = found.key, metrics_text(found.machine, found.runs, found.trends)
+                self._key, self._text = found.key, metrics_text(found.machine, found.by_date, found.trends)
                 kept.write(found.key, {_TEXT: self._text})
             return database_address(settings).machine, self._text
 
 
-def _of_runs(registry: CollectorRegistry, machine: str, runs: Sequence[StoredRun]) -> None:
+def _of_runs(registry: CollectorRegistry, machine: str, runs: RunsByDate[StoredRun]) -> None:
     states = _gauge(registry, "runs", "runs in history by kind and final state", "kind", "state")
-    for (kind, state), count in sorted(Tally((run.kind, run.state) for run in runs).items()):
+    for (kind, state), count in sorted(Tally((run.kind, run.state) for run in runs.every).items()):
         states.labels(machine, kind, state).set(count)
-    ended = [run for run in runs if run.ended is not None]
+    ended = [run for run in runs.counted if run.ended is not None]
     good = [run for run in ended if run.state == ACCEPTED]
     moments = (("last_run", ended), ("last_success", good))
     for name, chosen in moments:
@@ -101,7 +101,7 @@ def _of_runs(registry: CollectorRegistry, machine: str, runs: Sequence[StoredRun
         _gauge(registry, name, text).labels(machine).set(value)
 
 
-def _of_trends(registry: CollectorRegistry, machine: str, trends: Sequence[Trend]) -> None:
+def _of_trends(registry: CollectorRegistry, machine: str, trends: Sequence[Trend], ahead: Sequence[StoredRun]) -> None:
     value = _gauge(registry, "trend_value", "newest value of a series", "series", "unit")
     drift = _gauge(registry, "trend_drift_per_night", "drift of a series per night", "series", "unit")
     doubt = _gauge(registry, "trend_drift_uncertainty", "standard uncertainty of the drift", "series", "unit")
@@ -119,8 +119,8 @@ def _of_trends(registry: CollectorRegistry, machine: str, trends: Sequence[Trend
     for trend in trends:
         if trend.series.name in VOLUMETRIC:
             volumetric.labels(machine, trend.series.name).set(float(trend.series.values[-1]))
-    alarms = _gauge(registry, "trend_alarms", "open alarms of trends", "kind")
-    kinds = Tally(alarm.kind for alarm in alarms_of(trends))
+    alarms = _gauge(registry, "trend_alarms", "open alarms of trends and of dates in the future", "kind")
+    kinds = Tally(alarm.kind for alarm in alarms_of(trends, ahead))
     for kind in AlarmKind:
         alarms.labels(machine, kind.value).set(kinds[kind])
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
+from agent.history.dated_ahead import ahead_text
 from agent.history.schema import StoredRun
 from agent.history.series import ACTIVE, BARE, HELD_OUT, Series, all_series
-from agent.history.trends import Trend, TrendAlarm, trend_of
+from agent.history.trends import AlarmKind, Trend, TrendAlarm, trend_of
 from agent.settings.history import HistorySettings
 from drivers.errors import InputError
 
@@ -18,8 +19,8 @@ _MOST_SHOWN = 6
 def trends_of(runs: Sequence[StoredRun], settings: HistorySettings, known: Sequence[Trend] = ()) -> tuple[Trend, ...]:
     """Return the trends of all series of values that are computed from the runs of one machine.
 
-    The runs must be sorted, with the oldest run first. Of the trends `known`, made before with the same settings, those
-    whose series has not changed are returned as they are.
+    The runs must be sorted, with the oldest run first, and none dated in the future. Of the trends `known`, made
+    before with the same settings, those whose series has not changed are returned as they are.
     """
     before = {trend.series.name: trend for trend in known}
     made = partial(trend_of, warn_nights=settings.warn_nights, warn_probability=settings.warn_probability)
@@ -61,19 +62,21 @@ def most_relevant(trends: Sequence[Trend], most: int = _MOST_SHOWN) -> tuple[Tre
     return tuple((volumetric + others)[:most])
 
 
-def alarms_of(trends: Sequence[Trend]) -> tuple[TrendAlarm, ...]:
+def alarms_of(trends: Sequence[Trend], ahead: Sequence[StoredRun] = ()) -> tuple[TrendAlarm, ...]:
     """Return the alarms of three kinds of trends: those of the volumetric errors, of the held-out balls, and of all
-    series with a tolerance.
+    series with a tolerance. The last alarm names the runs that are dated in the future (`ahead`), if there are any.
 
     Other alarms are omitted, because among a hundred coefficients of the error model some exceed their control limits
     by chance.
     """
-    return tuple(
+    of_trends = (
         alarm
         for trend in trends
         if trend.series.name in VOLUMETRIC or trend.series.tolerance is not None
         for alarm in trend.alarms
     )
+    of_dates = [TrendAlarm("", AlarmKind.DATE, ahead_text(ahead))] if ahead else []
+    return (*of_trends, *of_dates)
 
 
 def _significance(trend: Trend) -> float:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from agent.history.dated_ahead import ahead_text, by_date
 from agent.history.recent_runs import RecentRun
 from agent.history.schema import utc_text, utc_time
 from agent.history.series import BARE, CHANGED_MACHINE, TITLES, Series
@@ -33,7 +34,8 @@ class MachineSummary:
     its start.
 
     `ve_um`, `vce_um` and `held_out_um` are the newest known volumetric error (VE) without a table, the one with the
-    active table (VCE), and the rms of the held-out balls with it. `recent` are its latest runs, the oldest run first.
+    active table (VCE), and the rms of the held-out balls with it. `recent` are its latest runs, the oldest run first,
+    without those dated in the future (`ahead`).
     """
 
     machine: str
@@ -44,6 +46,12 @@ class MachineSummary:
     vce_um: float | None
     held_out_um: float | None
     recent: Sequence[RecentRun]
+    ahead: Sequence[RecentRun]
+
+    @property
+    def ahead_text(self) -> str:
+        """Sentence that names the runs that are dated in the future, an empty text without any."""
+        return ahead_text(self.ahead)
 
     @property
     def started(self) -> datetime:
@@ -87,6 +95,7 @@ class MachineSummary:
             "drift_um_a_night": None if drift is None else drift[0],
             "drift_expanded_uncertainty": None if drift is None else drift[1],
             "significant": self.drifts,
+            "dated_ahead": [run.run_id for run in self.ahead],
         }
 
 
@@ -103,8 +112,11 @@ def plant_summaries(
     return tuple(sorted(found, key=lambda one: (_URGENCY.index(one.verdict.look), -one.days, one.machine)))
 
 
-def _summary(machine: str, runs: Sequence[RecentRun], now: datetime, running: tuple[str, str] | None) -> MachineSummary:
-    last = runs[-1]
+def _summary(
+    machine: str, found: Sequence[RecentRun], now: datetime, running: tuple[str, str] | None
+) -> MachineSummary:
+    dated = by_date(found, now)
+    runs, last = dated.counted, dated.counted[-1]
     in_progress = last.ended is None and (machine, last.run_id) == running
     return MachineSummary(
         machine=machine,
@@ -117,6 +129,7 @@ def _summary(machine: str, runs: Sequence[RecentRun], now: datetime, running: tu
             run.held_out_after_um if run.accepted else run.held_out_before_um for run in reversed(runs)
         ),
         recent=runs,
+        ahead=dated.ahead,
     )
 
 

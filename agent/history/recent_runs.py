@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from datetime import datetime
 
-from sqlalchemy import Select, func, select
+from sqlalchemy import CTE, ColumnElement, Select, func, select, union_all
 
 from agent.history.schema import RUNS
 from agent.results.run_verdict import RunVerdict, verdict_of
@@ -36,8 +37,9 @@ class RecentRun:
         )
 
 
-def recent_runs_query(count: int) -> Select[*tuple[object, ...]]:
-    """Return the query of the latest `count` runs of each machine, the oldest run of a machine first.
+def recent_runs_query(count: int, latest: datetime) -> Select[*tuple[object, ...]]:
+    """Return the query of the latest `count` runs of each machine that started at `latest` or before, and of the latest
+    `count` that are dated after it, the oldest run of a machine first.
 
     The names of the machines are found by one step in the index for each machine, and the runs of a machine are a range
     of the index by start. The work therefore depends on the number of machines, and not on that of their runs.
@@ -45,11 +47,22 @@ def recent_runs_query(count: int) -> Select[*tuple[object, ...]]:
     first = select(func.min(RUNS.c.machine).label("machine")).cte("machines", recursive=True)
     following = select(func.min(RUNS.c.machine)).where(RUNS.c.machine > first.c.machine).scalar_subquery()
     machines = first.union_all(select(following).where(first.c.machine.is_not(None)))
+    found = union_all(
+        _latest_runs(machines, count, lambda started: started <= latest),
+        _latest_runs(machines, count, lambda started: started > latest),
+    ).subquery()
+    return select(found).order_by(found.c.machine, found.c.started, found.c.run_id)
+
+
+def _latest_runs(
+    machines: CTE, count: int, dated: Callable[[ColumnElement[datetime]], ColumnElement[bool]]
+) -> Select[*tuple[object, ...]]:
+    """Return the query of the latest `count` runs of each of the `machines` among those that are `dated` so."""
     starts = RUNS.alias("starts")
-    of_machine = select(starts.c.started).where(starts.c.machine == machines.c.machine)
-    latest_first = of_machine.order_by(starts.c.started.desc()).limit(1)
-    oldest = select(func.min(starts.c.started)).where(starts.c.machine == machines.c.machine)
+    of_machine = (starts.c.machine == machines.c.machine, dated(starts.c.started))
+    latest_first = select(starts.c.started).where(*of_machine).order_by(starts.c.started.desc()).limit(1)
+    oldest = select(func.min(starts.c.started)).where(*of_machine)
     since = func.coalesce(latest_first.offset(count - 1).scalar_subquery(), oldest.scalar_subquery())
     columns = [RUNS.c[one.name] for one in fields(RecentRun)]
-    joined = machines.join(RUNS, (RUNS.c.machine == machines.c.machine) & (RUNS.c.started >= since))
-    return select(*columns).select_from(joined).order_by(RUNS.c.machine, RUNS.c.started, RUNS.c.run_id)
+    chosen = (RUNS.c.machine == machines.c.machine) & (RUNS.c.started >= since) & dated(RUNS.c.started)
+    return select(*columns).select_from(machines.join(RUNS, chosen))

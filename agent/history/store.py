@@ -31,6 +31,7 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
 from sqlalchemy.pool import NullPool
 
 from agent.history.database_url import DatabaseAddress
+from agent.history.dated_ahead import latest_start
 from agent.history.recent_runs import RecentRun, recent_runs_query
 from agent.history.run_row import RunRows
 from agent.history.run_selection import (
@@ -114,6 +115,11 @@ class HistoryStore:
         rows = self._read(query.where(RUNS.c.machine == machine))
         return {run_id: RunEnd(ended and utc_time(ended), state, reason) for run_id, ended, state, reason in rows}
 
+    def dated_ahead(self, machine: str, now: datetime) -> frozenset[str]:
+        """Return the identities of the runs of `machine` that are dated in the future at the time `now`."""
+        query = select(RUNS.c.run_id).where(RUNS.c.machine == machine, RUNS.c.started > latest_start(now))
+        return frozenset(run_id for (run_id,) in self._read(query))
+
     def put(self, rows: RunRows) -> None:
         """Insert `rows`, the rows of one run, into the database, or replace the stored rows of this run, in one
         transaction.
@@ -179,11 +185,12 @@ class HistoryStore:
         found = [NumberedRun(row.number, run) for row, run in zip(rows, runs, strict=True)]
         return RunListing(found, total, kinds, verdicts)
 
-    def recent_runs(self, count: int) -> Sequence[RecentRun]:
+    def recent_runs(self, count: int, now: datetime) -> Sequence[RecentRun]:
         """Return the latest `count` runs of each machine, sorted by machine, the oldest run of a machine first. Of runs
-        that started at the same instant as the first of these, all are returned."""
+        that started at the same instant as the first of these, all are returned. The latest `count` of the runs that
+        are dated in the future at the time `now` are returned in addition."""
         with self._read_errors(), self._engine.connect() as connection:
-            return checked_rows(RecentRun, connection.execute(recent_runs_query(count)))
+            return checked_rows(RecentRun, connection.execute(recent_runs_query(count, latest_start(now))))
 
     def _read(self, query: Select[*tuple[Any, ...]]) -> Sequence[Row[*tuple[Any, ...]]]:
         with self._read_errors(), self._engine.connect() as connection:

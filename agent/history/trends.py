@@ -45,15 +45,25 @@ class AlarmKind(Enum):
 
     `LIMIT` means that the value has reached its tolerance. `TREND` means that it will reach its tolerance soon.
     `CONTROL` means that the newest value, or the smoothed mean of the values, is outside its control limits.
+    `DATE` is no alarm of a trend: a run is dated in the future (`agent.history.dated_ahead`), and does not count.
     """
 
     LIMIT = "limit"
     TREND = "trend"
     CONTROL = "control"
+    DATE = "date"
+
+    @property
+    def of_tolerance(self) -> bool:
+        """Return True if a tolerance has been reached or will be soon."""
+        return self in (AlarmKind.LIMIT, AlarmKind.TREND)
 
 
 @dataclass(frozen=True)
 class TrendAlarm:
+    """Alarm about the trend of the series `series`, an empty text for an alarm about a date. `nights` is the number of
+    nights until the tolerance is reached, None for an alarm that is not about a tolerance."""
+
     series: str
     kind: AlarmKind
     text: str

@@ -145,8 +145,9 @@ def _read_history(data: bytes, machine: str) -> object:
         with closing(HistoryStore(_address(path, machine))) as store:
             store.digests(machine), store.ends(machine), store.machines()
             runs = store.runs(machine)
-            trends = CachedTrends().refreshed(store, HistorySettings()).trends
-        return metrics_text(machine, runs, trends, {}), as_csv(runs), as_json(runs), alarms_of(trends)
+            found = CachedTrends().refreshed(store, HistorySettings())
+        alarms = alarms_of(found.trends, found.by_date.ahead)
+        return metrics_text(machine, found.by_date, found.trends, {}), as_csv(runs), as_json(runs), alarms
 
 
 def read_everything(data: bytes) -> None:

@@ -49,7 +49,7 @@ def machine(place: int) -> dict[str, Any]:
     return {
         "machine": f"mill-{place:03d}-hall-2", "run_id": RUN, "kind": "calibrate", "started": "2026-11-28T01:00:00Z",
         "days": 10.21, "verdict": verdict, "ve_um": 41.87, "vce_um": 27.76, "held_out_um": 13.59,
-        "drift_um_a_night": -1.512, "drift_expanded_uncertainty": 0.048, "significant": True,
+        "drift_um_a_night": -1.512, "drift_expanded_uncertainty": 0.048, "significant": True, "dated_ahead": [],
     }  # fmt: skip
 
 

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -151,6 +152,6 @@ def test_a_machine_may_be_given_its_own_rows_only(
         with pytest.raises(LinkLost, match="row-level security"):
             sync(renamed(measured[0], "mill-9", tmp_path), own)
     with closing(opened("plant")) as plant:
-        assert {"mill-7", "mill-8"} <= {run.machine for run in plant.recent_runs(30)}
+        assert {"mill-7", "mill-8"} <= {run.machine for run in plant.recent_runs(30, datetime.now(UTC))}
         with pytest.raises(LinkLost, match="permission denied"):
             sync(renamed(measured[0], "mill-10", tmp_path), plant)

@@ -103,9 +103,10 @@ def history_plant(app_state: AppStateDependency, limit: Limit = 50, offset: Offs
     settings = app_state.settings()
     with closing(HistoryStore(database_address(settings))) as store:
         sync_missing(settings.state_directory, store)
-        runs = store.recent_runs(RECENT_RUNS)
+        now = datetime.fromisoformat(utc_timestamp())
+        runs = store.recent_runs(RECENT_RUNS, now)
     own, running = store.address.machine, app_state.archive.running()
-    found = plant_summaries(runs, datetime.fromisoformat(utc_timestamp()), None if running is None else (own, running))
+    found = plant_summaries(runs, now, None if running is None else (own, running))
     machines = [PlantMachine.model_validate(one.as_json()) for one in found[offset : offset + limit]]
     return PlantView(machine=own, machines=machines, total=len(found))
 

@@ -68,6 +68,7 @@ class PlantMachine(BaseModel):
 
     `ve_um`, `vce_um` and `held_out_um` are the newest known figures. The drift is that of the VE without a table over
     the latest runs, in µm per night, with its expanded uncertainty (95 %); both are null if there are too few values.
+    `dated_ahead` are the runs that are dated in the future; they do not count unless all are.
     """
 
     machine: str
@@ -82,6 +83,7 @@ class PlantMachine(BaseModel):
     drift_um_a_night: float | None
     drift_expanded_uncertainty: float | None
     significant: bool
+    dated_ahead: list[str]
 
 
 class PlantView(BaseModel):

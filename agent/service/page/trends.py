@@ -28,8 +28,8 @@ _OVERVIEW = ""
 
 class TrendCache:
     """Cache of the documents of the trends, also over a restart. A document is made again only if runs in the history,
-    the settings of the history, or the files from which actions are proposed have changed. The trends are taken from
-    `trends`. The cache is safe to use from any thread."""
+    the settings of the history, or the files from which actions are proposed have changed, or if the date of a run has
+    come that was in the future. The trends are taken from `trends`. The cache is safe to use from any thread."""
 
     def __init__(self, trends: CachedTrends) -> None:
         self._trends = trends
@@ -64,11 +64,12 @@ class TrendCache:
 
 def _document(current: MachineTrends, name: str, settings: Settings) -> Document:
     trends = [trend for trend in current.trends if _is_selected(trend.series, name)]
-    actions = helpful_actions(trends, current.runs, settings.state_directory, settings.machine)
+    counted, ahead = current.by_date.counted, current.by_date.ahead
+    actions = helpful_actions(trends, counted, settings.state_directory, settings.machine)
     return {
         "trends": [_trend(trend, actions.get(trend.series.name)) for trend in trends],
-        "alarms": alarms_json(alarms_of(trends), actions),
-        "marks": _marks(current.runs),
+        "alarms": alarms_json(alarms_of(trends, ahead), actions),
+        "marks": _marks(counted),
         "runs": {run.run_id: {"started": _utc(run), "kind": run.kind, "state": run.state} for run in current.runs},
     }
 

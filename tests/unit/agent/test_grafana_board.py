@@ -14,6 +14,7 @@ from test_history import settings
 
 from agent.execution.states import PACKML, RunState
 from agent.history.database_url import database_address
+from agent.history.dated_ahead import RunsByDate
 from agent.history.metrics import metrics_text
 from agent.history.overview import trends_of
 from agent.history.store import HistoryStore
@@ -47,7 +48,7 @@ def labels(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[str]]:
     )
     gauges = live_gauges(status)
     assert (gauges["notices_waiting"], gauges["receivers_failing"], gauges["receivers_partial"]) == (2.0, 1.0, 1.0)
-    families = text_string_to_metric_families(metrics_text("mill", runs, trends, gauges))
+    families = text_string_to_metric_families(metrics_text("mill", RunsByDate(runs, runs, ()), trends, gauges))
     return {family.name: set(family.samples[0].labels) for family in families if family.samples}
 
 

@@ -27,6 +27,7 @@ from agent.execution.run_record import RunRecord, read_record, run_ids
 from agent.execution.states import RunState
 from agent.history.cached_trends import CachedTrends
 from agent.history.database_url import DatabaseAddress, database_address
+from agent.history.dated_ahead import RunsByDate
 from agent.history.export import as_csv, as_json
 from agent.history.figure import draw_trends, trends_svg
 from agent.history.journal_runs import runs_until
@@ -447,8 +448,9 @@ class TestExports:
 
     def test_metrics_are_what_prometheus_reads(self, state: Path, store: HistoryStore) -> None:
         fed(state, store, [4.8 + 0.4 * night for night in range(10)])
-        trends = trends_of(store.runs(), HistorySettings(parameter_tolerances={"EXX[1]": 12.0}))
-        text = metrics_text("case-study", store.runs(), trends, {"link_errors": 2.0})
+        runs = store.runs()
+        trends = trends_of(runs, HistorySettings(parameter_tolerances={"EXX[1]": 12.0}))
+        text = metrics_text("case-study", RunsByDate(runs, runs, ()), trends, {"link_errors": 2.0})
         found = {
             (
                 sample.name,

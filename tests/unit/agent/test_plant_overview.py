@@ -46,13 +46,13 @@ def store(tmp_path: Path) -> Iterator[HistoryStore]:
 
 
 def test_the_latest_runs_of_each_machine_make_its_row(store: HistoryStore) -> None:
-    runs = store.recent_runs(3)
+    runs = store.recent_runs(3, NOW)
     assert [(run.machine, run.run_id) for run in runs] == [
         (WILD, run_id(0)),
         *(("grows", run_id(night)) for night in (7, 8, 9)),
         *(("still", run_id(night)) for night in (0, 1)),
     ]
-    failed, still, grows = plant_summaries(store.recent_runs(30), NOW)
+    failed, still, grows = plant_summaries(store.recent_runs(30, NOW), NOW)
     assert (failed.machine, failed.last.verdict.name, failed.days) == (WILD, "faulted", 12.0)
     assert (still.machine, still.days, still.ve_um, still.held_out_um) == ("still", 11.0, 9.0, 2.5)
     assert (grows.machine, grows.days, grows.ve_um, grows.vce_um) == ("grows", 3.0, 12.5, 12.5)
@@ -70,7 +70,7 @@ def test_a_run_in_progress_is_not_called_unfinished_and_its_start_is_in_utc(tmp_
     with closing(HistoryStore(address(tmp_path, "mill"))) as store:
         journaled(tmp_path / "state", 0, machine="mill")
         sync(tmp_path / "state", store)
-        (run,) = store.recent_runs(3)
+        (run,) = store.recent_runs(3, NOW)
     there = utc_time(run.started).astimezone(timezone(timedelta(hours=9)))
     elsewhere = replace(run, started=there, ended=None, state=RunState.MEASURING.value)
     (unfinished,), (busy,) = plant_summaries([elsewhere], NOW), plant_summaries([elsewhere], NOW, ("mill", run.run_id))
@@ -82,7 +82,7 @@ def test_the_page_is_told_in_german_and_a_machine_keeps_its_name(tmp_path: Path)
     with closing(HistoryStore(address(tmp_path, "Night"))) as store:
         journaled(tmp_path / "state", 0, machine="Night")
         sync(tmp_path / "state", store)
-        page = plant_html(plant_summaries(store.recent_runs(3), NOW), "Prior", NOW, "de")
+        page = plant_html(plant_summaries(store.recent_runs(3, NOW), NOW), "Prior", NOW, "de")
     texts = [cell.strip() for cell in re.findall(r">([^<]+)<", page.split("</style>")[1])]
     assert {"Maschinen des Werks", "Night", "Kalibrierung", "Vor Tagen", "zu wenige Nächte", "01.11.2026 02:00"} <= {
         *texts
@@ -92,7 +92,7 @@ def test_the_page_is_told_in_german_and_a_machine_keeps_its_name(tmp_path: Path)
 
 
 def test_the_page_has_a_row_for_each_machine(store: HistoryStore) -> None:
-    page = plant_html(plant_summaries(store.recent_runs(30), NOW), store.address.text, NOW)
+    page = plant_html(plant_summaries(store.recent_runs(30, NOW), NOW), store.address.text, NOW)
     assert page.count("<tr>") == 4
     assert "&lt;mill&gt; &amp; co" in page
     assert WILD not in page
@@ -105,7 +105,7 @@ def test_a_database_of_an_earlier_program_gets_the_index(store: HistoryStore, tm
         connection.execute(text(f"DROP INDEX {name}"))
     with closing(HistoryStore(address(tmp_path, "grows"))) as again:
         assert inspect(again._engine).has_index(RUNS.name, name)
-        assert len(again.recent_runs(30)) == 13
+        assert len(again.recent_runs(30, NOW)) == 13
 
 
 def test_the_command_lists_them_and_writes_the_page(store: HistoryStore, tmp_path: Path) -> None:
