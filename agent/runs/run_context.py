@@ -35,6 +35,9 @@ def _ignore_step(_: s.Step, __: object) -> None: ...
 def _permit(_: Job, __: PreflightResult) -> None: ...
 
 
+def _ignore_return() -> None: ...
+
+
 def _no_answers(_: Mapping[type, Action]) -> Mapping[type, Action]:
     return {}
 
@@ -45,9 +48,10 @@ class RunHooks:
 
     `announce` receives states, progress and notes. `attach` receives the supervisor of the run, through which signals
     and endpoints hold or abort the run. `observe` receives every step and its result. `preflight_passed` receives the
-    job that will be measured and the result of its preflight; it may raise an error to refuse the run. `lock` prevents
-    other processes from using the machine. `devices` creates the clock and the rig. `reports` renders the report of the
-    run. If `write_files` is True, the results are also written to files; they are in the journal in any case. `answers`
+    job that will be measured and the result of its preflight; it may raise an error to refuse the run. `return_begins`
+    is called before the machine of a resumed run returns to the position of the interruption. `lock` prevents other
+    processes from using the machine. `devices` creates the clock and the rig. `reports` renders the report of the run.
+    If `write_files` is True, the results are also written to files; they are in the journal in any case. `answers`
     receives the actions of the steps of the run, by type of step, and returns actions that replace some of them.
     Campaigns use it to choose the way of a run, to interrupt its steps, and to carry out its motions without its
     computations.
@@ -57,6 +61,7 @@ class RunHooks:
     attach: Callable[[Supervisor], None] = _ignore_supervisor
     observe: Observer = _ignore_step
     preflight_passed: Callable[[Job, PreflightResult], None] = _permit
+    return_begins: Callable[[], None] = _ignore_return
     lock: Callable[[Path, str], AbstractContextManager[None]] = run_lock
     devices: Devices = field(default_factory=Devices)
     reports: ReportRenderer = render_in_process

@@ -62,6 +62,7 @@ class ReturnToPosition:
         self._begun_s = begun_s
         self._rig = context.rig
         self._tracker = context.tracker
+        self._return_begins = context.hooks.return_begins
         self._aside = context.engine.aside()
         self._journal = context.journal
         self._trace = trace
@@ -90,6 +91,7 @@ class ReturnToPosition:
 
     def _return_machine(self, following: Step) -> None:
         """Withdraw the probe, and return to the position at which `following` begins."""
+        self._return_begins()
         self._await_rest()
         refusal = self._planned.too_late(following, (self._clock.now() - self._begun_s) / S_PER_MIN)
         if refusal is not None:

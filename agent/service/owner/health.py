@@ -3,7 +3,8 @@
 Every wait of a driver and every step reports a beat, that is, a sign that the thread is alive. While the machine can
 move, the thread is considered hung after some seconds without a beat. While the thread computes (preflight,
 identification, writing results after the final state), it reports no beats and is considered hung only after some
-minutes. Between runs the thread is never considered hung.
+minutes. A resumed run computes the same again in the state RESUMING, at whose end the machine returns to its position.
+Between runs the thread is never considered hung.
 """
 
 from __future__ import annotations
@@ -28,10 +29,20 @@ class Health:
         self._computing_s = computing_s
         self._last_s = now()
         self._concluding = False
+        self._returning = False
 
     def begin_run(self) -> None:
         """Start to monitor the thread of a run."""
         self._concluding = False
+        self._returning = False
+        self.beat()
+
+    def begin_return(self) -> None:
+        """Allow only the time of a machine that can move from now on, although the state is still RESUMING.
+
+        The machine of a resumed run returns to the position at which the run was interrupted.
+        """
+        self._returning = True
         self.beat()
 
     def begin_conclusion(self) -> None:
@@ -51,5 +62,6 @@ class Health:
     def alive(self, state: RunState) -> bool:
         if state in AT_REST:
             return True
-        allowed = self._computing_s if self._concluding or state in COMPUTING else self._hung_after_s
+        computing = state in COMPUTING or (state is RunState.RESUMING and not self._returning)
+        allowed = self._computing_s if self._concluding or computing else self._hung_after_s
         return self.silent_s() <= allowed

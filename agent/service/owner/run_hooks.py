@@ -50,6 +50,7 @@ class RunHooksFactory:
             attach=run.attach,
             observe=self._observe,
             preflight_passed=preflight_passed,
+            return_begins=parts.health.begin_return,
             lock=parts.ownership.for_run,
             devices=parts.machine.devices_for_run(clock, self.questions, attended=attended),
             reports=no_report_yet,

@@ -35,6 +35,7 @@ from agent.probing.paths.retreat import Retreat
 from agent.runs.resume.replay_clock import ResumedClock
 from agent.runs.resume.return_to_position import ReturnToPosition, reactivation
 from agent.runs.resume.step_trace import StepTrace
+from agent.runs.run_context import RunHooks
 from agent.runs.run_results import RunResults
 from drivers.clock import VirtualClock
 from drivers.roles import Activation, MachineStatus, MotionState, TableImage
@@ -265,7 +266,9 @@ class Return:
         planned: Any = SimpleNamespace(job=SimpleNamespace(rules=RULES), start=start, too_late=too_late)
         self.results = RunResults()
         engine = self.machine.engine(store or Store(1, {1: OLD}))
-        context: Any = SimpleNamespace(rig=self.machine, tracker=self.tracker, engine=engine, journal=None)
+        self.moved_when_told: list[int] = []
+        hooks = RunHooks(return_begins=lambda: self.moved_when_told.append(len(self.machine.targets)))
+        context: Any = SimpleNamespace(rig=self.machine, tracker=self.tracker, engine=engine, journal=None, hooks=hooks)
         self.returning = ReturnToPosition(
             "resume-1", planned, self.results, context, trace, self.clock, begun_s=40.0, time_s=160.0
         )
@@ -283,6 +286,7 @@ def test_the_tip_is_withdrawn_and_brought_to_where_the_next_step_began() -> None
     assert {(x, z) for x, _, z in inside} == {(110.0, 20.0)}
     assert one.returning.complete
     assert one.tracker.announced == 1
+    assert one.moved_when_told == [0], "told once, before the first motion"
 
 
 def test_each_axis_arrives_from_the_side_from_which_it_had_come() -> None:

@@ -241,6 +241,25 @@ def test_a_hang_is_seconds_where_something_moves_and_minutes_where_it_computes()
     assert health.alive(RunState.FAULTED)
 
 
+def test_a_resumed_run_is_given_minutes_until_its_machine_moves(tmp_path: Path) -> None:
+    clock = VirtualClock()
+    with house(tmp_path) as built:
+        parts = dataclasses.replace(built.parts, health=Health(clock.now, hang_timeout_s=30.0, computing_s=900.0))
+        factory, health = RunHooksFactory(parts, Questions(parts.board.show_question)), parts.health
+        hooks = factory.hooks(RunMailbox("a", health.beat), built.owner.settings.clock, attended=True)
+        for _ in range(2):  # the resumption, and a further one after a position was discarded
+            hooks.announce(Announcement("state", "resuming", {"state": "resuming"}))
+            clock.sleep(900.0)
+            assert health.alive(RunState.RESUMING)
+            clock.sleep(1.0)
+            assert not health.alive(RunState.RESUMING)
+            hooks.return_begins()
+            assert health.alive(RunState.RESUMING)
+            clock.sleep(31.0)
+            assert not health.alive(RunState.RESUMING)
+        assert health.alive(RunState.IDENTIFYING)
+
+
 def test_a_run_that_has_ended_is_given_minutes_for_its_report(tmp_path: Path) -> None:
     clock = VirtualClock()
     with house(tmp_path) as built:
