@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from fake_control import FakeControl
 
+from agent.errors import NotAllowedInState
 from agent.execution.states import RunState
 from agent.service.gateway.access import LOCKED_TICKS, AccessCode
 from agent.service.gateway.command_handler import CommandHandler
@@ -152,6 +153,61 @@ def test_a_silent_panel_holds_its_own_run_once(ask, gateway, control):
         gateway.tick()
     assert not gateway.heartbeats.panel_alive
     assert control.count("hold") == 1
+
+
+def test_a_hold_that_is_not_possible_at_the_timeout_is_made_up_for_once(ask, gateway, control, monkeypatch):
+    def silence(ticks: int) -> None:
+        for _ in range(ticks):
+            gateway.tick()
+
+    def refuse() -> None:
+        control.asked.append(("refused", None))
+        raise NotAllowedInState("the state has changed since the status was read")
+
+    ask(START_S3)
+    ask("06 0104 0001")
+    for state in (RunState.PREFLIGHT, RunState.RESUMING, RunState.IDENTIFYING):
+        control.now(state, may=frozenset({"abort"}))
+        silence(SILENCE)
+    assert control.count("hold") == 0
+    control.now(RunState.MEASURING, may=frozenset({"hold", "abort"}))
+    with monkeypatch.context() as changed:
+        changed.setattr(control, "hold", refuse)
+        silence(1)
+    assert control.count("refused") == 1
+    silence(1)
+    assert (control.status().state, control.count("hold")) == (RunState.HELD, 1)
+    control.resume()
+    silence(2 * SILENCE)
+    assert control.count("hold") == 1, "a person has resumed it, and the silence is the same"
+    ask("06 0104 0002")
+    silence(2 * SILENCE)
+    assert control.count("hold") == 2, "another silence"
+
+
+def test_a_panel_that_beats_again_before_its_run_moves_does_not_hold_it(ask, gateway, control):
+    ask(START_S3)
+    ask("06 0104 0001")
+    control.now(RunState.PREFLIGHT, may=frozenset({"abort"}))
+    for _ in range(SILENCE):
+        gateway.tick()
+    ask("06 0104 0002")
+    control.now(RunState.MEASURING, may=frozenset({"hold", "abort"}))
+    gateway.tick()
+    assert control.count("hold") == 0
+
+
+def test_every_run_of_a_panel_that_was_silent_before_is_held(ask, gateway, control):
+    ask("06 0104 0001")
+    for _ in range(2 * SILENCE):
+        gateway.tick()
+    for holds, start in enumerate((START_S3, START_S3.replace("002a", "002b")), start=1):
+        ask(start)
+        for _ in range(2 * SILENCE):
+            gateway.tick()
+        assert control.count("hold") == holds
+        control.now(RunState.COMPLETE, may=frozenset({"start"}))
+        gateway.tick()
 
 
 def test_a_silent_panel_does_not_hold_the_run_of_somebody_else(ask, gateway, control):

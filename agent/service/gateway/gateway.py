@@ -9,6 +9,7 @@ from typing import Literal
 import structlog
 
 from agent.execution.states import FINAL, RunState
+from agent.service.allowed_requests import HOLD
 from agent.service.control import Control, Status
 from agent.service.gateway.access import AccessCode
 from agent.service.gateway.command_handler import CommandHandler
@@ -38,7 +39,7 @@ class Gateway:
     """Gateway state that all panel connections share.
 
     `on_panel_timeout` is the reaction if the panel's heartbeat is lost during a run that a panel has started: ``note``
-    logs the loss, ``hold`` also holds the run.
+    logs the loss, ``hold`` also holds the run, once in each silence of the panel and as soon as the run can be held.
     """
 
     control: Control
@@ -73,15 +74,22 @@ class Gateway:
         status = self._status_or_none()
         if self.heartbeats.tick(service_alive=status is not None):
             log.warning("panel heartbeat lost", then=self.on_panel_timeout)
-            ours = status is not None and status.run_id is not None and status.run_id == self.handler.latest_start
-            if ours and self.on_panel_timeout == "hold":
-                self._hold()
+        if status is not None and self.on_panel_timeout == "hold":
+            self._hold_if_due(status)
 
-    def _hold(self) -> None:
+    def _hold_if_due(self, status: Status) -> None:
+        # Not only when the timeout expires: a run cannot be held then if, for example, its preflight is in progress.
+        run_id = status.run_id
+        if run_id is None or run_id != self.handler.latest_start or HOLD not in status.may:
+            return
+        if not self.heartbeats.hold_due(run_id):
+            return
         try:
             self.control.hold()
         except VolcalError as error:
             log.info("run not held after loss of the panel heartbeat", reason=str(error))
+        else:
+            self.heartbeats.held(run_id)
 
     def _status_or_none(self) -> Status | None:
         try:

@@ -17,6 +17,7 @@ class Heartbeats:
         self._lock = threading.Lock()
         self._panel_beat: int | None = None
         self._silent_ticks = 0
+        self._held_run: str | None = None
         self._beat = 0
 
     @property
@@ -37,7 +38,18 @@ class Heartbeats:
         panel is alive."""
         with self._lock:
             if value != self._panel_beat:
-                self._panel_beat, self._silent_ticks = value, 0
+                self._panel_beat, self._silent_ticks, self._held_run = value, 0, None
+
+    def hold_due(self, run_id: str) -> bool:
+        """Return True if the panel's timeout has expired and the run `run_id` was not held in this silence."""
+        with self._lock:
+            silent = self._panel_beat is not None and self._silent_ticks >= self._timeout_ticks
+            return silent and run_id != self._held_run
+
+    def held(self, run_id: str) -> None:
+        """Remember that the run `run_id` was held, so that whoever resumes it can go on without the panel."""
+        with self._lock:
+            self._held_run = run_id
 
     def tick(self, *, service_alive: bool) -> bool:
         """Count one second. Return True if the panel's timeout has expired in this second."""
