@@ -429,6 +429,30 @@ def test_a_command_that_cannot_be_recorded_is_not_given(panel, control, tmp_path
     assert control.count("start") == 1
 
 
+def test_a_hold_and_an_abort_are_carried_out_although_they_cannot_be_recorded(
+    endpoint, panel, control, tmp_path, code_file
+):
+    panel.give(START)
+    state = tmp_path / "state"
+    state.rename(tmp_path / "kept")
+    state.write_text("a file where the directory was")
+    assert panel.give(HOLD) == DONE
+    assert panel.give(ABORT, code=0) == DONE
+    last = block(ABORT, panel.read(ACCEPTED)[0])
+    assert panel.client.write_multiple_registers(COMMAND, last), "the same block again has no effect"
+    assert [name for name, _ in control.asked] == ["start", "hold", "abort"]
+    assert not panel.client.write_multiple_registers(COMMAND, block(RESET, panel.next()))
+    assert panel.client.last_except == 4
+    state.unlink()
+    (tmp_path / "kept").rename(state)
+    assert panel.give(RESET) == DONE
+    taken = panel.read(ACCEPTED)
+    endpoint.stop()
+    with opened(control, tmp_path, access_code_file=code_file) as later, panel_at(later) as panel_later:
+        assert panel_later.read(ACCEPTED) == taken
+    assert control.count("start") == 1
+
+
 def test_the_port_is_free_again_after_a_stop(control, tmp_path):
     with opened(control, tmp_path) as endpoint:
         _, port = endpoint.address

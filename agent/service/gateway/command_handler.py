@@ -49,7 +49,8 @@ class CommandHandler:
         """Execute a command whose sequence number follows that of the last accepted command, and store its result.
 
         If the response was lost, a panel repeats its last command; this repetition has no effect. Raise RegisterError
-        without executing anything if the command has any other sequence number, or if the number cannot be recorded.
+        without executing anything if the command has any other sequence number, or if the number cannot be recorded. A
+        command that only stops the machine is executed even if its number cannot be recorded.
         """
         with self._lock:
             if request.sequence == self._ledger.accepted and request.content == self._ledger.content:
@@ -65,8 +66,13 @@ class CommandHandler:
         try:
             self._ledger.record(request.sequence, request.content)
         except InputError as error:
-            log.error("command from a panel not accepted", reason=str(error))
-            raise RegisterError(ExceptionCode.FAILURE) from error
+            if request.command() not in FREE_COMMANDS:
+                log.error("command from a panel not accepted", reason=str(error))
+                raise RegisterError(ExceptionCode.FAILURE) from error
+            # A full disk must not keep the machine moving. If the service restarts before a later number is stored,
+            # this one is valid once more: a repetition then stops the machine again.
+            log.error("number of a command from a panel not recorded", reason=str(error))
+            self._ledger.keep(request.sequence, request.content)
 
     def _perform(self, request: CommandRequest) -> int:
         command = request.command()

@@ -2,7 +2,8 @@
 
 A panel that reconnects, or a PLC that repeats its command block, must not start a run a second time. A restart of the
 service must not make an old sequence number valid again. The number is therefore stored durably before the command is
-executed: after a power failure a command may be lost, but it is never executed twice.
+executed: after a power failure a command may be lost, but it is never executed twice. If the number cannot be stored,
+only commands that stop the machine are executed.
 """
 
 from __future__ import annotations
@@ -45,6 +46,10 @@ class SequenceLedger:
         """Store the sequence number and content of a command durably. If they cannot be stored, raise InputError and
         leave the stored values unchanged."""
         write_atomically(self._path, json.dumps({"accepted": number, "content": list(content)}) + "\n")
+        self.keep(number, content)
+
+    def keep(self, number: int, content: Content) -> None:
+        """Keep the sequence number and content of a command until the service ends, without storing them."""
         self.accepted, self.content = number, content
 
     def _load(self) -> tuple[int, Content | None]:
