@@ -30,6 +30,7 @@ from agent.settings.service import ServiceSettings
 from drivers.clock import RealClock
 
 STATUS_REQUEST = b"GET /api/status HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
+UNFINISHED_REQUEST = b"POST /api/start HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 9\r\n\r\n{"
 EVENTS_REQUEST = b"GET /api/events HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
 
 
@@ -119,7 +120,17 @@ def test_an_abort_gets_through_while_streams_take_every_place(served: Served, he
     assert served.abort().status_code == 200
 
 
-@pytest.mark.parametrize("sent", [b"", b"GET /api/st", STATUS_REQUEST[:-2], STATUS_REQUEST + b"GET"])
+@pytest.mark.parametrize(
+    "sent",
+    [
+        b"",
+        b"GET /api/st",
+        STATUS_REQUEST[:-2],
+        UNFINISHED_REQUEST,
+        STATUS_REQUEST + b"GET",
+        STATUS_REQUEST + UNFINISHED_REQUEST,
+    ],
+)
 def test_a_request_must_be_complete_in_time(served: Served, sent: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connections, "REQUEST_TIMEOUT_S", 0.2)
     with served.connected(sent) as connection, contextlib.suppress(ConnectionResetError):
