@@ -23,7 +23,7 @@ from agent.service.http import connections
 from agent.service.http.app import create_app
 from agent.service.http.app_state import AppState
 from agent.service.http.endpoint import HttpServer
-from agent.service.http.guard import MAX_REQUESTS
+from agent.service.http.guard import MAX_BODY_BYTES, MAX_REQUESTS
 from agent.service.page.static_files import mount_page
 from agent.service.state.event_log import EventLog
 from agent.settings.service import ServiceSettings
@@ -166,6 +166,28 @@ def test_malformed_headers_are_refused(served: Served, headers: str, status: int
     request = f"POST /api/abort HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n{headers}\r\n\r\n"
     with served.connected(request.encode("latin-1")) as connection:
         assert connection.recv(4096).split()[1] == str(status).encode()
+
+
+@pytest.mark.parametrize("request_line", ["GET /api/events", "GET /api/status", "POST /api/abort", "POST /api/hold"])
+def test_a_body_that_is_too_long_is_refused_before_the_request_is_processed(
+    served: Served, request_line: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    head = f"{request_line} HTTP/1.1\r\nHost: 127.0.0.1\r\nTransfer-Encoding: chunked\r\nConnection: close\r\n\r\n"
+    body = b"%x\r\n%b\r\n0\r\n\r\n" % (MAX_BODY_BYTES + 1, b"x" * (MAX_BODY_BYTES + 1))
+    with served.connected(head.encode() + body) as connection:
+        answer = connection.makefile("rb").read()
+    assert answer.startswith(b"HTTP/1.1 413 ")
+    assert b"the request is longer than 65536 bytes" in answer
+    assert served.control.asked == []
+    assert caplog.records == []
+
+
+def test_a_body_without_a_stated_length_is_read_whole(served: Served) -> None:
+    with served.client() as client:
+        body = iter([b'{"reason"', b': "no', b'w"}'])
+        response = client.post("/api/abort", content=body, headers={"Content-Type": "application/json"})
+    assert response.status_code == 200
+    assert served.control.asked == [("abort", "now")]
 
 
 @pytest.mark.parametrize("number", ["\xb2", "9" * 5000, "-1", "x"])

@@ -9,6 +9,7 @@ only read.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Collection
 from http import HTTPStatus
 from urllib.parse import urlsplit
@@ -16,7 +17,7 @@ from urllib.parse import urlsplit
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from agent.service.http.problems import Problem, RequestRefused, answer
+from agent.service.http.problems import Problem, answer
 
 MAX_BODY_BYTES = 64 * 1024
 MAX_REQUESTS = 64
@@ -69,7 +70,12 @@ class Guard:
                 self._in_progress -= 1
 
     async def _process(self, scope: Scope, receive: Receive, send: Send) -> None:
-        await self._app(scope, _limit_body(receive), _with_headers(send))
+        send = _with_headers(send)
+        body = await _whole_body(receive)
+        if body is None:
+            await answer(_TOO_LONG)(scope, receive, send)
+        else:
+            await self._app(scope, _body_first(body, receive), send)
 
     def _objection(self, headers: Headers) -> Problem | None:
         host = headers.get("host", "")
@@ -84,12 +90,11 @@ class Guard:
             return _problem(HTTPStatus.FORBIDDEN, f"requests from pages of {origin} are not accepted", "")
         length = headers.get("content-length", "0")
         if not (length.isascii() and length.isdigit()) or len(length) > MAX_DIGITS or int(length) > MAX_BODY_BYTES:
-            return _problem(
-                HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"the request is longer than {MAX_BODY_BYTES} bytes", ""
-            )
+            return _TOO_LONG
         return None
 
 
+_TOO_LONG = _problem(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"the request is longer than {MAX_BODY_BYTES} bytes", "")
 _TOO_MANY = _problem(
     HTTPStatus.SERVICE_UNAVAILABLE,
     f"the service already processes {MAX_REQUESTS} requests",
@@ -97,24 +102,30 @@ _TOO_MANY = _problem(
 )
 
 
-def _limit_body(receive: Receive) -> Receive:
-    """Return a `receive` that counts the bytes of a body as they arrive and refuses a body that is too long.
+async def _whole_body(receive: Receive) -> deque[Message] | None:
+    """Return the messages of `receive` up to the end of the body, or None if the body is too long.
 
-    It also limits bodies whose length is not stated in advance.
+    The length of the body need not be stated in advance. The body is read before the request is processed, because a
+    request cannot be refused any more once its response has begun, as with the stream of events.
     """
-    received = 0
-
-    async def counted() -> Message:
-        nonlocal received
+    messages, received = deque[Message](), 0
+    while True:
         message = await receive()
         received += len(message.get("body", b""))
         if received > MAX_BODY_BYTES:
-            raise RequestRefused(
-                HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"the request is longer than {MAX_BODY_BYTES} bytes"
-            )
-        return message
+            return None
+        messages.append(message)
+        if not message.get("more_body", False):  # the end of the body, or of the connection
+            return messages
 
-    return counted
+
+def _body_first(messages: deque[Message], receive: Receive) -> Receive:
+    """Return a `receive` that hands out `messages` before those of `receive`."""
+
+    async def received() -> Message:
+        return messages.popleft() if messages else await receive()
+
+    return received
 
 
 def _with_headers(send: Send) -> Send:
