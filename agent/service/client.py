@@ -18,7 +18,8 @@ from agent.service.address_file import ADDRESS_FILE, read_address
 from agent.service.token import read_token, token_path
 from agent.settings.schema import Settings
 from drivers import errors
-from drivers.errors import LinkLost, LinkTimeout, ProtocolError, VolcalError
+from drivers.errors import ConfigurationError, LinkLost, LinkTimeout, ProtocolError, VolcalError
+from drivers.foreign_errors import cause_of
 
 Document = dict[str, Any]
 
@@ -149,14 +150,44 @@ def _connect(settings: Settings) -> httpx.Client:
 
 
 def _ssl_context(certificate: Path | None) -> ssl.SSLContext | bool:
-    """Return a context that trusts only this certificate, which may therefore be self-signed and contain any host name.
-    If `certificate` is None, return True, which stands for the usual verification.
+    """Return a context that trusts only the first certificate of the file, that of the service. It may therefore be
+    self-signed or issued by any authority, and contain any host name. If `certificate` is None, return True, which
+    stands for the usual verification.
+
+    Raise ConfigurationError if the file has no certificate that can be read.
     """
     if certificate is None:
         return True
-    context = ssl.create_default_context(cafile=str(certificate))
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = False
+    # The certificate itself is the anchor. Its authorities, which the file may contain too, issue others as well.
+    context.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN
+    try:
+        context.load_verify_locations(cadata=_first_certificate(certificate))
+    except (OSError, ValueError) as error:  # ssl.SSLError is an OSError
+        raise ConfigurationError(
+            f"the certificate of the service cannot be read: {_certificate_problem(error)}",
+            key="service.certificate_file",
+            hint="the command was not sent; correct the file, or run the command as a user who may read it",
+            file=str(certificate),
+        ) from error
     return context
+
+
+_PEM_BEGIN, _PEM_END = "-----BEGIN CERTIFICATE-----", "-----END CERTIFICATE-----"
+
+
+def _first_certificate(file: Path) -> str:
+    """Return the first certificate of a PEM file, without the text and the keys that the file may contain besides.
+    Raise ValueError if there is none."""
+    text = file.read_bytes().decode("ascii", errors="replace")
+    begin = text.index(_PEM_BEGIN)
+    return text[begin : text.index(_PEM_END, begin)] + _PEM_END
+
+
+def _certificate_problem(error: Exception) -> str:
+    unreadable = isinstance(error, OSError) and not isinstance(error, ssl.SSLError)
+    return cause_of(error) if unreadable else "it is not a certificate in PEM form"
 
 
 def _printable(value: Any) -> Any:

@@ -42,11 +42,11 @@ def abort_command(config: Path, reason: str) -> None:
     Needs no token. Has no effect between runs.
     """
     try:
-        settings = read_settings(config)
+        client = Client(read_settings(config))
     except ConfigurationError as error:
         elsewhere = "the abort was NOT sent: abort on the page or at the panel, or press the emergency stop"
         raise ConfigurationError(error.message, hint=elsewhere, **error.where) from error
-    with Client(settings) as client:
+    with client:
         client.post("/api/abort", {"reason": reason}, token=False)
     click.echo("abort requested")
 

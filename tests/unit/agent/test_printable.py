@@ -20,6 +20,7 @@ from agent.service.client import _parse_events
 from agent.service.control import MAX_REASON
 from drivers.errors import InputError
 
+CASE_STUDY = Path(__file__).resolve().parents[3] / "config" / "case-study.toml"
 EVIL = "stop\x1b]0;title\x07\x1b[2J\u202egnp.exe\r\nerror: all is well"
 
 
@@ -88,5 +89,21 @@ def test_an_abort_that_could_not_be_sent_says_so(tmp_path: Path) -> None:
     """The settings name the state directory, in which the address of the service is."""
     (tmp_path / "volcal.toml").write_text("state_directory = [")
     refused = volcal("abort", "--config", tmp_path / "volcal.toml", exit_code=2).stderr
+    assert "the abort was NOT sent" in refused
+    assert "emergency stop" in refused
+
+
+@pytest.mark.parametrize("content", [None, "nonsense"])
+def test_an_abort_without_the_certificate_of_the_service_says_that_it_was_not_sent(
+    tmp_path: Path, content: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("agent.service.client.read_address", lambda _: "https://127.0.0.1:1")
+    config = tmp_path / "volcal.toml"
+    named = '\n[service]\ncertificate_file = "cert.pem"\nkey_file = "key.pem"\n'
+    config.write_text(CASE_STUDY.read_text() + named)
+    if content is not None:
+        (tmp_path / "cert.pem").write_text(content)
+    refused = volcal("abort", "--config", config, exit_code=2).stderr
+    assert "certificate" in refused
     assert "the abort was NOT sent" in refused
     assert "emergency stop" in refused
