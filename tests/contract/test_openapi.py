@@ -24,6 +24,14 @@ def test_commands_need_a_token_except_abort_and_pairing() -> None:
     assert reading == {"/api/diagnostics", "/api/access", "/api/pairing/clients"}
 
 
+def test_the_reason_of_an_abort_is_documented() -> None:
+    body = openapi_document()["paths"]["/api/abort"]["post"]["requestBody"]
+    assert not body.get("required", False)
+    schema = body["content"]["application/json"]["schema"]
+    assert set(schema["properties"]) == {"reason"}
+    assert "required" not in schema
+
+
 def test_the_reference_page_names_every_path() -> None:
     text = COMMITTED.with_name("http.md").read_text(encoding="utf-8")
     parts = [path.rpartition("/")[2] for path in openapi_document()["paths"]]

@@ -13,17 +13,19 @@ from urllib.parse import urlsplit
 import httpx
 import pytest
 from fake_control import FakeControl
+from structlog.testing import capture_logs
 from waiting import PATIENCE_S
 
 from agent.service.access.access import Access
 from agent.service.access.paired_clients import PairedClients
 from agent.service.access.pairing_codes import PairingCodes
-from agent.service.control import Status
+from agent.service.control import MAX_REASON, Status
 from agent.service.http import connections
 from agent.service.http.app import create_app
 from agent.service.http.app_state import AppState
 from agent.service.http.endpoint import HttpServer
 from agent.service.http.guard import MAX_BODY_BYTES, MAX_REQUESTS
+from agent.service.http.models import AbortBody
 from agent.service.page.static_files import mount_page
 from agent.service.state.event_log import EventLog
 from agent.settings.service import ServiceSettings
@@ -118,6 +120,56 @@ def test_an_abort_gets_through_while_streams_take_every_place(served: Served, he
     assert refused.headers["content-type"] == "application/problem+json"
     assert "abort is accepted" in refused.json()["hint"]
     assert served.abort().status_code == 200
+
+
+USUAL = AbortBody().reason
+JSON = "application/json"
+
+
+@pytest.mark.parametrize(
+    ("body", "kind", "reason"),
+    [
+        (b'{"reason": "a chip"}', JSON, "a chip"),
+        (b'{"reason": "a chip"}', None, "a chip"),
+        (b'{"reason": "a chip"}', "text/plain", "a chip"),
+        (b'{"reason": "a chip", "since": 3}', JSON, "a chip"),
+        (b'{"reason": "' + b"x" * 300 + b'"}', JSON, "x" * (MAX_REASON - 1) + "…"),
+        (b'{"reason": ""}', JSON, USUAL),
+        (b'{"reason": "' + b" " * 900 + b'x"}', JSON, USUAL),
+        (b'{"reason": null}', JSON, USUAL),
+        (b'{"reason": 3}', JSON, USUAL),
+        (b'{"why": "a chip"}', JSON, USUAL),
+        (b"null", JSON, USUAL),
+        (b"{", JSON, USUAL),
+        (b"[" * 20_000, JSON, USUAL),
+        (b'{"reason": "\xff"}', JSON, USUAL),
+        (b'{"reason": "\\ud800"}', JSON, USUAL),
+        (b"reason=chip", "application/x-www-form-urlencoded", USUAL),
+        (b"", None, USUAL),
+    ],
+)
+def test_an_abort_is_carried_out_whatever_its_reason(
+    served: Served, body: bytes, kind: str | None, reason: str
+) -> None:
+    with served.client() as client:
+        answer = client.post("/api/abort", content=body, headers={} if kind is None else {"Content-Type": kind})
+    assert (answer.status_code, answer.json()) == (200, {"taken": True})
+    assert served.control.asked == [("abort", reason)]
+
+
+def test_an_abort_is_carried_out_although_its_body_is_too_long(served: Served) -> None:
+    with served.client() as client:
+        for content in ((b"x" * 1024 for _ in range(1000)), b"x" * (MAX_BODY_BYTES + 1)):
+            assert client.post("/api/abort", content=content).status_code == 200
+    assert served.control.asked == [("abort", USUAL)] * 2
+
+
+def test_an_abort_that_breaks_off_is_no_defect(served: Served) -> None:
+    with capture_logs() as logged:
+        served.connected(b"POST /api/abort HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 9\r\n\r\n{").close()
+        assert served.abort(reason="now").status_code == 200
+    assert served.control.asked == [("abort", "now")]
+    assert logged == []
 
 
 @pytest.mark.parametrize(

@@ -16,10 +16,14 @@ from agent.cli.invocation import will_run
 from agent.cli.options import config_option
 
 if will_run():
+    from agent.printable import one_line
     from agent.service.client import Client, NoService
+    from agent.service.control import MAX_REASON
     from agent.settings.load import read_settings
     from agent.settings.schema import Settings
     from drivers.errors import ConfigurationError
+
+ABORT_REASON = "volcal abort"
 
 
 @click.command("hold")
@@ -34,7 +38,7 @@ def hold_command(config: Path) -> None:
 
 @click.command("abort")
 @config_option
-@click.option("--reason", default="volcal abort", show_default=True, help="Reason to record in the journal.")
+@click.option("--reason", default=ABORT_REASON, show_default=True, help="Reason to record in the journal.")
 @reported
 def abort_command(config: Path, reason: str) -> None:
     """Stop the run, withdraw the probe and restore the previous table.
@@ -47,7 +51,8 @@ def abort_command(config: Path, reason: str) -> None:
         elsewhere = "the abort was NOT sent: abort on the page or at the panel, or press the emergency stop"
         raise ConfigurationError(error.message, hint=elsewhere, **error.where) from error
     with client:
-        client.post("/api/abort", {"reason": reason}, token=False)
+        # Also a reason that cannot be sent as it is, such as bytes that are not UTF-8, must not keep the abort back.
+        client.post("/api/abort", {"reason": one_line(reason, MAX_REASON) or ABORT_REASON}, token=False)
     click.echo("abort requested")
 
 

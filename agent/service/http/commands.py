@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+from http import HTTPStatus
 from typing import Annotated
 
-from fastapi import APIRouter, Depends
+from fastapi import APIRouter, Depends, Request
+from pydantic import ValidationError
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 
 from agent.files import translated
 from agent.printable import one_line
@@ -32,17 +36,35 @@ without_token = APIRouter(prefix="/api", tags=["asking"], responses=DOCUMENTED)
 with_token = APIRouter(prefix="/api", tags=["asking"], responses=DOCUMENTED)
 
 
-@without_token.post("/abort")
+_ABORT_BODY = {"requestBody": {"content": {"application/json": {"schema": AbortBody.model_json_schema()}}}}
+
+
+# FastAPI refuses a request whose body it cannot read. An abort is read here, and its body only documented.
+@without_token.post("/abort", openapi_extra=_ABORT_BODY)
 async def abort(
-    app_state: AppStateDependency, name: Annotated[str, Depends(known_name)], body: AbortBody | None = None
+    app_state: AppStateDependency, name: Annotated[str, Depends(known_name)], request: Request
 ) -> RequestAccepted:
     """Stop the machine, withdraw the probe and restore the compensation table that was active before the run. This
-    request is always accepted; between runs it has no effect. If it has the token of a paired client, its name is
-    added to the reason."""
+    request is always accepted, whatever its body; between runs it has no effect. If it has the token of a paired
+    client, its name is added to the reason."""
+    asked = f" ({name})" if name else ""
+    reason = await _abort_reason(request, MAX_REASON - len(asked))
     # A thread of the loop's own pool, which no other request uses: slow requests may occupy all threads of the server.
-    reason, asked = (body or AbortBody()).reason, f" ({name})" if name else ""
-    await asyncio.to_thread(app_state.control.abort, f"{one_line(reason, MAX_REASON - len(asked))}{asked}")
+    await asyncio.to_thread(app_state.control.abort, f"{reason}{asked}")
     return RequestAccepted()
+
+
+async def _abort_reason(request: Request, longest: int) -> str:
+    """Return the reason in the body of an abort on one line, or the default reason if it cannot be read. Refuse only a
+    request that breaks off."""
+    default = AbortBody().reason
+    try:
+        body = AbortBody.model_validate_json(await request.body())
+    except ClientDisconnect as error:
+        raise HTTPException(HTTPStatus.BAD_REQUEST) from error
+    except ValidationError:
+        return default
+    return one_line(body.reason, longest) or default
 
 
 @with_token.post("/start", status_code=202)

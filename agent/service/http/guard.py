@@ -54,7 +54,7 @@ class Guard:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        problem = self._objection(Headers(scope=scope))
+        problem = self._objection(Headers(scope=scope), scope["path"])
         if problem is not None:
             await answer(problem)(scope, receive, send)
             return
@@ -72,12 +72,14 @@ class Guard:
     async def _process(self, scope: Scope, receive: Receive, send: Send) -> None:
         send = _with_headers(send)
         body = await _whole_body(receive)
+        if body is None and scope["path"] == ABORT_PATH:  # carried out whatever its reason
+            body = deque[Message]([{"type": "http.request"}])
         if body is None:
             await answer(_TOO_LONG)(scope, receive, send)
         else:
             await self._app(scope, _body_first(body, receive), send)
 
-    def _objection(self, headers: Headers) -> Problem | None:
+    def _objection(self, headers: Headers, path: str) -> Problem | None:
         host = headers.get("host", "")
         if _host_name(f"//{host}") not in self._names:
             return _problem(
@@ -88,6 +90,8 @@ class Guard:
         origin = headers.get("origin")
         if origin is not None and _network_location(origin) != host.lower():
             return _problem(HTTPStatus.FORBIDDEN, f"requests from pages of {origin} are not accepted", "")
+        if path == ABORT_PATH:
+            return None
         length = headers.get("content-length", "0")
         if not (length.isascii() and length.isdigit()) or len(length) > MAX_DIGITS or int(length) > MAX_BODY_BYTES:
             return _TOO_LONG

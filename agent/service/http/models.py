@@ -10,7 +10,7 @@ from agent.execution.states import RunState
 from agent.runs.run_request import RunRequest
 from agent.service.access.pairing_codes import DIGITS, MAX_MINUTES
 from agent.service.access.roles import Role
-from agent.service.control import MAX_REASON, Status
+from agent.service.control import Status
 
 
 class RequestBody(BaseModel):
@@ -31,8 +31,11 @@ class ResumeRunBody(RequestBody):
     source: Literal["page", "command line"] = "page"
 
 
-class AbortBody(RequestBody):
-    reason: str = Field(default="abort pressed", min_length=1, max_length=MAX_REASON)
+class AbortBody(BaseModel):
+    """Reason of an abort. A longer one is shortened to 200 characters. If the body or the reason cannot be read, the
+    abort is carried out with the default reason."""
+
+    reason: str = "abort pressed"
 
 
 class AnswerBody(RequestBody):

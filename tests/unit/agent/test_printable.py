@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
+import httpx
 import pytest
 from rich.console import Console
 from service_house import house
@@ -107,3 +109,30 @@ def test_an_abort_without_the_certificate_of_the_service_says_that_it_was_not_se
     assert "certificate" in refused
     assert "the abort was NOT sent" in refused
     assert "emergency stop" in refused
+
+
+@pytest.mark.parametrize(
+    ("reason", "sent"),
+    [
+        ("x" * 300, "x" * (MAX_REASON - 1) + "…"),
+        ("", "volcal abort"),
+        ("  ", "volcal abort"),
+        ("Sp\udce4ne", "Sp\ufffdne"),
+    ],
+)
+def test_the_command_sends_an_abort_whatever_its_reason(
+    tmp_path: Path, reason: str, sent: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also one that was typed in a terminal with another encoding."""
+    requests: list[httpx.Request] = []
+
+    def connection(_: object) -> httpx.Client:
+        def answer(request: httpx.Request) -> httpx.Response:
+            requests.append(request)
+            return httpx.Response(200, json={"taken": True})
+
+        return httpx.Client(transport=httpx.MockTransport(answer), base_url="http://volcal.test")
+
+    monkeypatch.setattr("agent.service.client._connect", connection)
+    volcal("abort", "--reason", reason, "--config", CASE_STUDY)
+    assert [json.loads(request.content) for request in requests] == [{"reason": sent}]
