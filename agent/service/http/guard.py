@@ -10,7 +10,7 @@ only read.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from http import HTTPStatus
 from urllib.parse import urlsplit
 
@@ -54,12 +54,13 @@ class Guard:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        problem = self._objection(Headers(scope=scope), scope["path"])
-        if problem is not None:
+        problem, is_abort = self._objection(Headers(scope=scope)), scope["path"] == ABORT_PATH
+        if problem is not None and not (is_abort and problem is _TOO_LONG):
             await answer(problem)(scope, receive, send)
-            return
-        if scope["path"] == ABORT_PATH:
-            await self._process(scope, receive, send)
+        elif is_abort:
+            body = await _whole_body(receive) if problem is None else None
+            # an abort is carried out although its reason is too long
+            await self._app(scope, _body_first(_NO_BODY if body is None else body, receive), _with_headers(send))
         elif self._in_progress >= MAX_REQUESTS:
             await answer(_TOO_MANY)(scope, receive, send)
         else:
@@ -72,14 +73,12 @@ class Guard:
     async def _process(self, scope: Scope, receive: Receive, send: Send) -> None:
         send = _with_headers(send)
         body = await _whole_body(receive)
-        if body is None and scope["path"] == ABORT_PATH:  # carried out whatever its reason
-            body = deque[Message]([{"type": "http.request"}])
         if body is None:
             await answer(_TOO_LONG)(scope, receive, send)
         else:
             await self._app(scope, _body_first(body, receive), send)
 
-    def _objection(self, headers: Headers, path: str) -> Problem | None:
+    def _objection(self, headers: Headers) -> Problem | None:
         host = headers.get("host", "")
         if _host_name(f"//{host}") not in self._names:
             return _problem(
@@ -90,8 +89,6 @@ class Guard:
         origin = headers.get("origin")
         if origin is not None and _network_location(origin) != host.lower():
             return _problem(HTTPStatus.FORBIDDEN, f"requests from pages of {origin} are not accepted", "")
-        if path == ABORT_PATH:
-            return None
         length = headers.get("content-length", "0")
         if not (length.isascii() and length.isdigit()) or len(length) > MAX_DIGITS or int(length) > MAX_BODY_BYTES:
             return _TOO_LONG
@@ -99,6 +96,7 @@ class Guard:
 
 
 _TOO_LONG = _problem(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"the request is longer than {MAX_BODY_BYTES} bytes", "")
+_NO_BODY: Sequence[Message] = ({"type": "http.request"},)
 _TOO_MANY = _problem(
     HTTPStatus.SERVICE_UNAVAILABLE,
     f"the service already processes {MAX_REQUESTS} requests",
@@ -106,13 +104,13 @@ _TOO_MANY = _problem(
 )
 
 
-async def _whole_body(receive: Receive) -> deque[Message] | None:
+async def _whole_body(receive: Receive) -> Sequence[Message] | None:
     """Return the messages of `receive` up to the end of the body, or None if the body is too long.
 
     The length of the body need not be stated in advance. The body is read before the request is processed, because a
     request cannot be refused any more once its response has begun, as with the stream of events.
     """
-    messages, received = deque[Message](), 0
+    messages, received = list[Message](), 0
     while True:
         message = await receive()
         received += len(message.get("body", b""))
@@ -123,11 +121,12 @@ async def _whole_body(receive: Receive) -> deque[Message] | None:
             return messages
 
 
-def _body_first(messages: deque[Message], receive: Receive) -> Receive:
+def _body_first(messages: Sequence[Message], receive: Receive) -> Receive:
     """Return a `receive` that hands out `messages` before those of `receive`."""
+    left = deque(messages)
 
     async def received() -> Message:
-        return messages.popleft() if messages else await receive()
+        return left.popleft() if left else await receive()
 
     return received
 
