@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 import shutil
@@ -15,6 +16,7 @@ import pytest
 from agent.cli.errors import VolcalGroup
 from agent.cli.main import main
 from agent.cli.service_commands.start import DECLINED
+from agent.execution.run_lock import ownership, run_lock
 
 ROOT = Path(__file__).resolve().parents[3]
 UNITS = ROOT / "systemd"
@@ -129,6 +131,67 @@ def test_both_read_the_same_secret() -> None:
 def test_maintainer_scripts_are_shell(script: str) -> None:
     done = subprocess.run(["sh", "-n", UNITS / "deb" / script], check=False, capture_output=True, timeout=600.0)
     assert done.returncode == 0, done.stderr
+
+
+class Removal:
+    """The script that runs before the package is replaced or removed, with folders of its own and a systemd that says
+    whether the service is active."""
+
+    def __init__(self, directory: Path) -> None:
+        self.state, self._bin, self._script = directory / "state", directory / "bin", directory / "prerm"
+        for folder in (self.state, self._bin, directory / "systemd", directory / "volcal" / "lib"):
+            folder.mkdir(parents=True)
+        self.stopped = directory / "stopped"
+        self.removed = directory / "volcal" / "lib" / "__pycache__"
+        self.removed.mkdir()
+        text = (UNITS / "deb" / "prerm").read_text()
+        for path, own in (
+            ("/usr/lib/volcal", directory / "volcal"),
+            ("/run/systemd/system", directory / "systemd"),
+            ("/run/volcal", directory / "volcal"),
+            ("/var/lib/volcal", self.state),
+        ):
+            text = text.replace(path, str(own))
+        self._script.write_text(text)
+
+    def run(self, action: str, *, active: bool) -> subprocess.CompletedProcess[str]:
+        systemctl = self._bin / "systemctl"
+        answer = 0 if active else 3
+        systemctl.write_text(f'#!/bin/sh\ncase "$*" in *is-active*) exit {answer};; esac\ntouch {self.stopped}\n')
+        systemctl.chmod(0o755)
+        paths = {"PATH": f"{self._bin}:{os.environ['PATH']}"}
+        command = ["sh", str(self._script), action]
+        return subprocess.run(command, check=False, capture_output=True, text=True, timeout=600.0, env=paths)
+
+
+@pytest.fixture
+def removal(tmp_path: Path) -> Removal:
+    return Removal(tmp_path)
+
+
+@pytest.mark.parametrize("action", ["upgrade", "failed-upgrade", "remove", "deconfigure"])
+def test_the_package_stays_while_a_run_of_the_command_line_holds_the_machine(removal: Removal, action: str) -> None:
+    with run_lock(removal.state, "20261201T100000Z-abcd"):
+        refused = removal.run(action, active=False)
+        assert refused.returncode == 1
+        assert "run 20261201T100000Z-abcd" in refused.stderr
+        assert "refused" in refused.stderr
+        assert removal.removed.exists()
+        assert not removal.stopped.exists()
+    assert removal.run(action, active=False).returncode == 0
+    assert not removal.removed.exists()
+
+
+@pytest.mark.parametrize("action", ["upgrade", "remove"])
+def test_a_machine_that_never_ran_is_no_reason_to_keep_the_package(removal: Removal, action: str) -> None:
+    assert removal.run(action, active=False).returncode == 0
+    assert list(removal.state.iterdir()) == [], "a lock of root keeps the service from its own"
+
+
+def test_the_lock_of_the_service_itself_does_not_keep_the_package(removal: Removal) -> None:
+    with ownership(removal.state, "service"):
+        assert removal.run("remove", active=True).returncode == 0
+    assert removal.stopped.exists()
 
 
 def test_the_installation_says_that_it_compiles_before_it_does(tmp_path: Path) -> None:
