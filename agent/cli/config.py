@@ -15,7 +15,6 @@ from agent.cli.options import PATH, SETTINGS_FILE, case_options
 from drivers.errors import ConfigurationError
 
 if will_run():
-    from rich.markup import escape
     from rich.table import Table
 
     from agent.cli.printing import gates_table, results_console
@@ -94,7 +93,7 @@ def machine_command(config: Path, file: Path | None) -> None:
 
 def _cross_effect_table(machine: MachineDescription) -> Table:
     """Return the table of the cross-effect terms, those that are not identified included."""
-    table = Table(title=f"cross-effect of {escape(machine.name)}", title_justify="left")
+    table = Table(title=f"cross-effect of {machine.name}", title_justify="left")
     for heading in ("parameter", "beams", "added to", "polynomial"):
         table.add_column(heading)
     for heading in ("expected", "prior ±"):
@@ -108,8 +107,8 @@ def _cross_effect_table(machine: MachineDescription) -> Table:
         origin = derived.get(term.name)
         expected = None if origin is None else origin.expected
         table.add_row(
-            escape(term.name),
-            "" if origin is None else escape(", ".join(origin.beams)),
+            term.name,
+            "" if origin is None else ", ".join(origin.beams),
             term.error,
             str(term.polynomial),
             "" if expected is None else f"{factor * expected:.3g}",

@@ -21,6 +21,7 @@ from agent.cli.options import config_option
 
 if will_run():
     from rich.table import Table
+    from rich.text import Text
 
     from agent.cli.printing import columns_table, results_console
     from agent.execution.device_assembly import assemble, closing_clock, make_clock
@@ -135,7 +136,7 @@ def _gate_finding(gate: GateForecast) -> DiagnosticFinding:
 
 def _table(findings: dict[str, list[DiagnosticFinding]]) -> Table:
     table = columns_table(("device", "subject", "", "finding"), whole=("device",))
-    marks = {True: "[green]ok[/green]", False: "[red]no[/red]", None: "[yellow]not read[/yellow]"}
+    marks = {True: Text("ok", "green"), False: Text("no", "red"), None: Text("not read", "yellow")}
     for name, lines in findings.items():
         for finding in lines:
             table.add_row(name, finding.subject, marks[finding.ok], finding.text)

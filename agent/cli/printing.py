@@ -30,10 +30,11 @@ def results_console() -> Console:
     """Return a console that prints on standard output.
 
     In a terminal, the console is as wide as the terminal. Otherwise, its width is not limited. A line outside a table
-    is never wrapped.
+    is never wrapped. No text is read as markup, not even in a table, because names come from other programs and
+    people. Give a style with a `Text`.
     """
     width = None if sys.stdout.isatty() else UNLIMITED
-    return Console(width=width, highlight=False, soft_wrap=True)
+    return Console(width=width, highlight=False, soft_wrap=True, markup=False, emoji=False)
 
 
 def columns_table(
@@ -68,7 +69,7 @@ def gates_table(forecasts: Sequence[GateForecast]) -> RenderableType:
     gate that is expected to refuse the run. It is at most `PAGE_WIDTH` wide."""
     table = columns_table(("gate", "expected", "limit", "", "settings key"), title="forecast of the gates")
     for forecast in forecasts:
-        mark = "[green]pass[/green]" if forecast.passes else "[red]refuse[/red]"
+        mark = Text("pass", "green") if forecast.passes else Text("refuse", "red")
         table.add_row(forecast.gate, forecast.expected_text, forecast.limit_text, mark, forecast.key)
     remedies = facts_table((one.gate, one.remedy) for one in forecasts if one.remedy)
     return Constrain(Group(table, remedies) if remedies.row_count else table, PAGE_WIDTH)

@@ -272,7 +272,7 @@ def compare_command(grids: tuple[Path, ...], machine: Path, figure: Path | None,
     first = next(iter(shares.values()))
     rows += [(f"{name} / {first.units[name]}", [one.terms[name] for one in shares.values()]) for name in first.terms]
     for name, cells in rows:
-        table.add_row(name.replace("[", r"\["), *(f"{value:.2f}" for value in cells))
+        table.add_row(name, *(f"{value:.2f}" for value in cells))
     results_console().print(table)
 
 

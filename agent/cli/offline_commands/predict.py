@@ -22,7 +22,7 @@ from agent.cli.triples import parse_triple, point_in_mm
 
 if will_run():
     from rich.console import Console
-    from rich.markup import escape
+    from rich.text import Text
 
     from agent.cli.offline_commands.error_cells import UNCERTAINTY_HEADING, error_cells
     from agent.cli.printing import columns_table, results_console
@@ -170,11 +170,11 @@ def _show(found: PredictedFeatures, console: Console) -> None:
     shown = columns_table(headings, whole=("feature",), numbers=numbers)
     for one in found.predictions:
         limits = one.feature.tolerance
-        cells = [escape(one.feature.name), one.feature.kind.value, _limits_text(limits)]
+        cells: list[str | Text] = [one.feature.name, one.feature.kind.value, _limits_text(limits)]
         for error in (one.without_table, one.with_table):
             if error is not None:
-                colour = _COLOURS[error.conformity.value]
-                cells += [*error_cells(one.feature, error), f"[{colour}]{error.conformity.value}[/{colour}]"]
+                conformity = error.conformity.value
+                cells += [*error_cells(one.feature, error), Text(conformity, _COLOURS[conformity])]
         shown.add_row(*cells)
     console.print(shown)
     console.print(f"Decision rule: {RULE}. Only the geometry of the machine is predicted.", markup=False)

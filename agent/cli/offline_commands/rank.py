@@ -20,7 +20,6 @@ from agent.cli.options import PATH, case_options
 
 if will_run():
     from rich.console import Console
-    from rich.markup import escape
     from rich.table import Table
 
     from agent.cli.printing import results_console
@@ -155,7 +154,7 @@ def _fields_table(found: RankResult) -> Table:
         table.add_column(head, justify="right")
     for at, vce in zip(found.seen.fields, found.vce, strict=True):
         values = (UM_PER_MM * at.prior_mm, UM_PER_MM * at.unseen_mm, UM_PER_MM * at.blind_mm, vce.aligned_um)
-        table.add_row(escape(at.tool), "yes" if at.measured else "no", *(f"{value:.2f}" for value in values))
+        table.add_row(at.tool, "yes" if at.measured else "no", *(f"{value:.2f}" for value in values))
     return table
 
 
@@ -168,7 +167,7 @@ def _sigma_table(seen: Identifiability) -> Table:
         table.add_column(f"order {order}", justify="right")
     for error, cells in rows:
         by_order = dict(cells)
-        table.add_row(escape(error), *(by_order.get(order, "") for order in range(1, len(table.columns))))
+        table.add_row(error, *(by_order.get(order, "") for order in range(1, len(table.columns))))
     return table
 
 

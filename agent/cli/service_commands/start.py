@@ -102,7 +102,7 @@ def waited_for(client: Client, run_id: str, clock: Clock) -> Mapping[str, Any]:
         status = _status(client, clock)
         if status["doing"] != said and status["run_id"] == run_id:
             said = status["doing"]
-            console.print(said, highlight=False)
+            console.print(said, highlight=False, markup=False, emoji=False)
         if RunState(status["state"]) in AT_REST:
             return status if status["run_id"] == run_id else {**client.get(f"/api/runs/{run_id}"), "alarms": []}
         clock.sleep(LOOK_EVERY_S)

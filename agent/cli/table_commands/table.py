@@ -17,6 +17,7 @@ from agent.cli.table_commands.table_export import export
 
 if will_run():
     import numpy as np
+    from rich.text import Text
 
     from agent.cli.printing import columns_table, results_console
     from agent.cli.service_commands.start import conclude, waited_for
@@ -59,13 +60,13 @@ def show(config: Path, as_json: bool) -> None:
     console = results_console()
     console.print(subject(job.machine.name, job.artefact.name), markup=False)
     table = columns_table(("bank", "state", "grid", "CRC-32", "largest correction"), whole=("CRC-32",))
-    table.add_row("0", "[bold]active[/bold]" if active == 0 else "", "no compensation", "", "")
+    table.add_row("0", Text("active", "bold") if active == 0 else "", "no compensation", "", "")
     for bank, image in banks.items():
         facts = _facts(image)
-        state = "[bold]active[/bold]" if bank == active else "staged or previous" if image else "empty"
+        kept = "staged or previous" if image else "empty"
         grid = " × ".join(str(n) for n in image.shape) if image else ""
         crc, largest = (facts["crc32"], f"{facts['largest_um']} µm") if facts else ("", "")
-        table.add_row(str(bank), state, grid, str(crc), largest)
+        table.add_row(str(bank), Text("active", "bold") if bank == active else kept, grid, str(crc), largest)
     console.print(table)
     if left is not None:
         console.print(left.text, markup=False)

@@ -13,8 +13,9 @@ from test_service import NIGHTLY
 from volcal_command import volcal
 
 from agent.cli.errors import fail
-from agent.cli.printing import facts_table, results_console
+from agent.cli.printing import columns_table, facts_table, results_console
 from agent.cli.run_commands.progress import watching
+from agent.cli.service_commands import pair
 from agent.execution.run_state import Announcement
 from agent.execution.states import RunState
 from agent.printable import one_line, printable
@@ -54,6 +55,17 @@ def test_commands_print_what_the_service_says_without_obeying_it(capsys: pytest.
     assert (kind, document["text"]) == ("note", "\N{REPLACEMENT CHARACTER}[2J")
     results_console().print(facts_table([("doing", "[/red] [bold]x[/bold]")]))
     assert "[/red] [bold]x[/bold]" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["panel [hall 2]", "panel [/hall 2]", "[bold]panel", "hall :bell: 2"])
+def test_names_of_others_are_shown_as_they_are(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """In cells, headings and titles of tables, and on lines."""
+    pair._list({"clients": [{"name": name, "role": "operator", "paired": "2026-12-01T10:00:00+00:00"}]}, as_json=False)
+    table = columns_table((name,), title=name)
+    table.add_row(name)
+    results_console().print(table)
+    results_console().print(name)
+    assert capsys.readouterr().out.count(name) == 5
 
 
 def test_the_progress_of_a_run_is_never_read_as_markup(capsys: pytest.CaptureFixture[str]) -> None:
