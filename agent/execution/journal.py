@@ -27,7 +27,7 @@ from agent.execution.states import RunState
 from agent.execution.steps import Conclude, Enter, ReadTemperatures, Record, Step
 from agent.files import create_directory
 from drivers.clock import Clock, utc_timestamp
-from drivers.errors import ConfigurationError, VolcalError
+from drivers.errors import ConfigurationError, InputError, VolcalError
 from drivers.foreign_errors import cause_of
 from drivers.roles import TableImage
 
@@ -86,10 +86,12 @@ class Journal:
         run.
 
         The resumed run first replays its procedure with the recorded results. If the replay produces an entry that is
-        already in the log, the entry is removed from the log and is not written again. Raises PlanRefused if the run
-        has been compacted.
+        already in the log, the entry is removed from the log and is not written again. Raises InputError if the journal
+        has no run with this number and this identity, and PlanRefused if the run has been compacted.
         """
-        reader = JournalReader(self._connection)
+        reader = JournalReader(self._connection, self.path)
+        if reader.require_run(run_id).run != run:
+            raise InputError(f"the journal has run {run_id} under another number", file=str(self.path))
         if run in reader.compacted_runs():
             raise PlanRefused(
                 f"run {run_id} has been compacted and can no longer be resumed", hint="start a new run", run=run_id

@@ -21,7 +21,7 @@ from stored_run import stored_run
 from test_whole_run import WrongSign
 from test_whole_run_interrupted import FORMER, Cut, Tripwire, with_device
 
-from agent.errors import PlanDiverged, PlanRefused, ThermometerFault
+from agent.errors import Busy, PlanDiverged, PlanRefused, ThermometerFault
 from agent.execution.device_assembly import assemble
 from agent.execution.journal import Journal
 from agent.execution.journal_reader import open_journal
@@ -152,6 +152,33 @@ def test_measured_balls_are_not_measured_again(measuring: Broken) -> None:
     assert np.linalg.norm(moved["moved_um"]) < 5.0
     assert measuring.night.active == 2
     assert unfinished_run(STATE) is None
+
+
+def test_a_run_is_resumed_in_the_directory_in_which_it_was_found(measuring: Broken, tmp_path: Path) -> None:
+    moved = tmp_path / "other-disk"
+    shutil.move(STATE, moved)
+    before = stored_run(moved).balls
+    with run_lock(moved, "of another process"), pytest.raises(Busy):
+        resume(moved, measuring.night.hooks)
+    ended = resume(moved, measuring.night.hooks)
+    assert ended.error is None
+    assert ended.outcome.state is RunState.COMPLETE
+    run = stored_run(moved)
+    assert run.balls[: len(before)] == before
+    assert run.measured_twice == []
+    assert not STATE.exists()
+
+
+def test_a_run_that_another_process_ends_before_the_lock_is_free_is_not_resumed(measuring: Broken) -> None:
+    @contextmanager
+    def given_up_meanwhile(directory: Path, owner: str) -> Iterator[None]:
+        abandon(measuring.rig, STATE, "another process")
+        with run_lock(directory, owner):
+            yield
+
+    with pytest.raises(InputError, match="no run to resume"):
+        resume(STATE, replace(measuring.night.hooks, lock=given_up_meanwhile))
+    assert stored_run(STATE).row.state == "aborted"
 
 
 def test_a_file_that_has_changed_is_refused_by_name(lost_measuring, measuring: Broken) -> None:

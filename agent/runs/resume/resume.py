@@ -31,7 +31,7 @@ from agent.runs.run_context import RunContext, RunHooks, run_actions
 from agent.runs.run_start import record_asked
 from agent.runs.session import RunResult, RunSession, open_rig, run_resources
 from agent.runs.step_progress import StepProgress
-from agent.runs.unfinished_run import unfinished_run
+from agent.runs.unfinished_run import UnfinishedRun, unfinished_run
 from drivers.clock import utc_timestamp
 from drivers.errors import InputError, VolcalError
 from drivers.roles import TableImage
@@ -72,6 +72,9 @@ def _resume_once(
     settings, run_id = origin.settings, origin.run_id
     job = replace(prepare_job(settings, origin.base), latencies_from=origin.latencies_from)
     with run_resources(settings.state_directory, settings.clock, run_id, hooks) as resources:
+        # Before the lock, another process may have used the machine.
+        if _resumable_run(settings.state_directory).run_id != run_id:
+            raise InputError("another run has begun meanwhile", run=run_id)
         run_clock = ResumedClock(resources.clock, origin.begun_s)
         clock = resources.interruptible(run_clock)
         rig = hooks.devices.assemble(settings, clock, origin.base)
@@ -111,9 +114,19 @@ def resumable_origin(state_directory: Path) -> Origin:
     """Return the origin of the unfinished run: its settings, its kind of run and its start conditions (axis positions,
     time and run number).
 
+    The settings name `state_directory` even if it was moved since the run began.
+
     Raises InputError, with the reason, if there is no unfinished run, if the run cannot be resumed, or if the journal
     cannot be read. Raises PlanDiverged if an input file has changed since the run began.
     """
+    run = _resumable_run(state_directory)
+    with open_journal(state_directory) as reader:
+        origin = read_origin(reader, run.run)
+    origin.require_unchanged()
+    return replace(origin, settings=origin.settings.model_copy(update={"state_directory": state_directory.resolve()}))
+
+
+def _resumable_run(state_directory: Path) -> UnfinishedRun:
     run = unfinished_run(state_directory)
     file = str(state_directory / FILE_NAME)
     if run is None:
@@ -122,10 +135,7 @@ def resumable_origin(state_directory: Path) -> Origin:
         raise InputError("there is no run to resume: the last one has ended", hint=hint, file=file)
     if not run.resumable:
         raise InputError(f"run {run.run_id} cannot be resumed: {run.refusal}", file=file)
-    with open_journal(state_directory) as reader:
-        origin = read_origin(reader, run.run)
-    origin.require_unchanged()
-    return origin
+    return run
 
 
 def stored_tables(journal: RunJournal, rig: Rig) -> Callable[[int, int], TableImage]:

@@ -32,7 +32,16 @@ from agent.runs.resume.replay_engine import Replay, ReplayingEngine
 from agent.runs.resume.step_trace import StepTrace
 from agent.runs.unfinished_run import unfinished_run
 from drivers.clock import VirtualClock
-from drivers.errors import CommandRejected, DeadlineExpired, GuardTripped, LinkError, LinkLost, MotionFault, VolcalError
+from drivers.errors import (
+    CommandRejected,
+    DeadlineExpired,
+    GuardTripped,
+    InputError,
+    LinkError,
+    LinkLost,
+    MotionFault,
+    VolcalError,
+)
 from drivers.links.modbus_transport import DamagedFrame
 from drivers.roles import Miss, Orientation, TableImage, Touch
 
@@ -108,6 +117,16 @@ def test_entries_are_neither_written_twice_nor_changed(journal: Journal, tmp_pat
     other, _ = journal.continue_run(run.run, run.run_id, VirtualClock())
     with pytest.raises(PlanDiverged, match="same with other figures"):
         other.decision("gate", {"value": 0.3333333333333333 + 1e-16})
+
+
+@pytest.mark.parametrize(
+    ("run", "run_id", "refusal"),
+    [(2, "run-1", "run run-1 under another number"), (1, "run-2", "the journal has no run run-2")],
+)
+def test_only_a_run_that_the_journal_has_is_continued(journal: Journal, run: int, run_id: str, refusal: str) -> None:
+    begun(journal)
+    with pytest.raises(InputError, match=refusal):
+        journal.continue_run(run, run_id, VirtualClock())
 
 
 def test_a_discarded_position_is_measured_again_from_its_turn_on(journal: Journal, tmp_path: Path) -> None:
