@@ -256,9 +256,14 @@ class RunJournal:
             )
             self.fault(error, step.key)
 
-    def fault(self, error: BaseException, step: str = "") -> None:
-        """Record an error that ends the run; its class decides whether the run can be resumed."""
-        self._insert_event("fault", {"step": step, "error": str(error), "type": _class_of(error)})
+    def fault(self, error: BaseException, step: str = "", *, before_return: bool = False) -> None:
+        """Record an error that ends the run; its class decides whether the run can be resumed.
+
+        `before_return` is True if the error has ended a resumption before the machine returned to where the run was
+        interrupted; the run can then be resumed again.
+        """
+        told = {"before_return": True} if before_return else {}
+        self._insert_event("fault", {"step": step, "error": str(error), "type": _class_of(error), **told})
 
     def event(self, kind: str, record: Mapping[str, Any]) -> None:
         self._insert_event(kind, record)

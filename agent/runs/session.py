@@ -211,8 +211,8 @@ class RunSession:
     def ended_by_errors(self) -> Iterator[None]:
         """End the run if the `with` block raises a `VolcalError`.
 
-        At the time of such an error nothing has moved yet, because a run that has begun to measure handles its errors
-        itself.
+        At the time of such an error this process has moved nothing yet, because a run that has begun to measure handles
+        its errors itself.
         """
         try:
             yield

@@ -12,6 +12,8 @@ from agent.execution.states import FINAL, RunState
 from agent.runs.reference_state import ACTIVATING_DECISIONS
 from agent.runs.unproved_table import GIVEN_UP
 
+INTERRUPTED = "Interrupted"
+"""Error of a run whose program had to end."""
 RESUMABLE_FAULTS = frozenset(
     {
         "LinkError",
@@ -24,7 +26,7 @@ RESUMABLE_FAULTS = frozenset(
         "ArtefactMoved",
         "ThermometerFault",
         "JournalFailed",
-        "Interrupted",
+        INTERRUPTED,
     }
 )
 """Errors that do not come from the measurement, so that results measured before them remain valid. Any other fault
@@ -137,13 +139,17 @@ def _refusal(reader: JournalReader, row: RunRow, state: RunState, fault: str, *,
 
 
 def _fault(reader: JournalReader, run: int) -> str:
-    """Return the class name of the first fault since the run began or was last resumed; empty if there is none."""
+    """Return the class name of the first fault since the run began or was last resumed; empty if there is none.
+
+    An error before the return of a resumed run counts as an interruption, whatever its class: nothing has moved since
+    the run was found resumable.
+    """
     first = ""
     for event in reader.events(run, ("fault", "state")):
         if event.kind == "state" and event.record["state"] == RunState.RESUMING.value:
             first = ""
         elif event.kind == "fault" and not first:
-            first = str(event.record["type"])
+            first = INTERRUPTED if event.record.get("before_return") else str(event.record["type"])
     return first
 
 

@@ -21,7 +21,7 @@ from stored_run import stored_run
 from test_whole_run import WrongSign
 from test_whole_run_interrupted import FORMER, Cut, Tripwire, with_device
 
-from agent.errors import Busy, PlanDiverged, PlanRefused, ThermometerFault
+from agent.errors import Aborted, Busy, Interrupted, PlanDiverged, PlanRefused, ThermometerFault
 from agent.execution.device_assembly import assemble
 from agent.execution.journal import Journal
 from agent.execution.journal_reader import open_journal
@@ -42,7 +42,17 @@ from agent.runs.session import RunResult, carry_out
 from agent.runs.unfinished_run import unfinished_run
 from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
-from drivers.errors import CommandRejected, InputError, LinkLost, MotionFault, NotActiveYet, PermissionMissing
+from drivers.errors import (
+    CommandRejected,
+    ConfigurationError,
+    InputError,
+    LinkLost,
+    MotionFault,
+    NotActiveYet,
+    PermissionMissing,
+    StoreError,
+    VolcalError,
+)
 from drivers.roles import Activation, Permission, StoreLimits
 
 IN_A_BALL = ("touch_towards", 150)
@@ -544,6 +554,62 @@ def test_a_table_activated_by_somebody_else_is_reported_and_left(proving: Broken
     world.controller.activate(0)
     result = reconcile(proving.rig, STATE)
     assert (result.state, result.action, proving.night.active) == (CompensationState.CHANGED, ReconcileAction.LEFT, 0)
+
+
+def test_a_resumption_that_is_interrupted_while_it_is_planned_can_be_made_again(measuring: Broken) -> None:
+    before = stored_run(STATE).balls
+
+    def stopped(supervisor: Supervisor) -> None:
+        supervisor.request_interruption("the service is being stopped")
+
+    ended = resume(STATE, replace(measuring.night.hooks, attach=stopped))
+    assert isinstance(ended.error, Interrupted)
+    assert ended.outcome.state is RunState.FAULTED
+    unfinished = unfinished_run(STATE)
+    assert unfinished is not None and unfinished.resumable
+    assert unfinished.reason == ended.outcome.reason == "interrupted: the service is being stopped"
+    assert measuring.resume().outcome.state is RunState.COMPLETE
+    run = stored_run(STATE)
+    assert run.balls[: len(before)] == before
+    assert run.measured_twice == []
+
+
+@pytest.mark.parametrize("error", [ConfigurationError("$10=0"), StoreError("the file of the bank is damaged")])
+def test_a_run_is_not_lost_if_a_device_cannot_be_opened_for_its_resumption(proving: Broken, error: VolcalError) -> None:
+    def refuse() -> None:
+        raise error
+
+    def tamper(rig: Rig) -> Rig:
+        rig.devices["twin"].open = refuse  # type: ignore[method-assign]
+        return rig
+
+    before, former = stored_run(STATE).balls, unfinished_run(STATE)
+    proving.night.tamper = tamper
+    ended = proving.resume()
+    assert ended.error is error
+    assert ended.outcome.state is RunState.FAULTED
+    found = unfinished_run(STATE)
+    assert former is not None and found is not None
+    assert (found.run_id, found.balls, found.resumable) == (former.run_id, len(before), True)
+    assert found.reason == ended.outcome.reason
+    left = unproved_table(STATE)
+    assert left is not None and left.provable and left.situation in found.reason
+
+
+@pytest.mark.parametrize("refusals", [0, 9], ids=["restore-works", "restore-never-works"])
+def test_an_aborted_resumption_takes_the_unproved_table_back_or_names_it(proving: Broken, refusals: int) -> None:
+    proving.night.tamper = lambda rig: with_device(rig, Refusing(rig.devices["twin"], refusals))
+    ended = resume(STATE, replace(proving.night.hooks, attach=lambda supervisor: supervisor.request_abort("SIGINT")))
+    assert isinstance(ended.error, Aborted)
+    assert ended.outcome.state is RunState.ABORTED
+    assert stored_run(STATE).row.reason == ended.outcome.reason
+    left, reason = unproved_table(STATE), ended.outcome.reason
+    if refusals:
+        assert left is not None and left.provable and f"{left.situation}: bank locked" in reason
+        assert proving.night.active == 2
+    else:
+        assert left is None and "the former table acts again" in reason
+        assert proving.night.active == 1
 
 
 class Late:

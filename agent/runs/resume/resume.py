@@ -19,21 +19,21 @@ from agent.execution.rig import Rig
 from agent.execution.run_state import RunStateTracker
 from agent.execution.states import RunState
 from agent.planning.job_preparation import prepare_job
-from agent.runs.guard import attempt
 from agent.runs.origin import Origin, read_origin
-from agent.runs.reconcile import reconcile, unproved_table
+from agent.runs.reconcile import unproved_table
 from agent.runs.resume.replay_clock import ResumedClock
 from agent.runs.resume.replay_engine import Replay, ReplayingEngine, require_crc
+from agent.runs.resume.resumed_session import ResumedSession
 from agent.runs.resume.return_to_position import ReturnToPosition
 from agent.runs.resume.slow_moves import slow_until_contact
 from agent.runs.resume.step_trace import StepTrace
 from agent.runs.run_context import RunContext, RunHooks, run_actions
 from agent.runs.run_start import record_asked
-from agent.runs.session import RunResult, RunSession, open_rig, run_resources
+from agent.runs.session import RunResult, open_rig, run_resources
 from agent.runs.step_progress import StepProgress
 from agent.runs.unfinished_run import UnfinishedRun, unfinished_run
 from drivers.clock import utc_timestamp
-from drivers.errors import InputError, VolcalError
+from drivers.errors import InputError
 from drivers.roles import TableImage
 from twin.units import S_PER_MIN
 
@@ -91,10 +91,10 @@ def _resume_once(
         )
         engine = ReplayingEngine(actions, journal, steps.observe, replay, stored_tables(journal, rig))
         context = RunContext(rig, engine, journal, tracker, resources.supervisor, clock, hooks)
-        session = RunSession(context, steps, job, origin.kind, resources.began_s)
+        session = ResumedSession(context, steps, job, origin, resources.began_s)
         with session.ended_by_errors():
             tracker.enter(RunState.RESUMING)
-            with open_rig(context):
+            with open_rig(context), session.compensation_compared():
                 planned, ahead_s = session.plan(origin.start), continuation_time_s(origin)
                 engine.set_return(
                     ReturnToPosition(
@@ -102,8 +102,6 @@ def _resume_once(
                     )
                 )
                 session.carry_out(planned)
-                if session.progress.error is not None:
-                    _note_compensation(rig, origin, tracker.note)
         moved = isinstance(session.progress.error, ArtefactMoved)
         if moved and not final and not resources.supervisor.stop_requested:
             return None
@@ -161,16 +159,3 @@ def continuation_time_s(origin: Origin) -> float:
         return origin.begun_s
     passed = datetime.fromisoformat(utc_timestamp()) - datetime.fromisoformat(origin.begun_at)
     return origin.begun_s + passed.total_seconds()
-
-
-def _note_compensation(rig: Rig, origin: Origin, note: Callable[[str], None]) -> None:
-    """Compare the compensation with the journal after an error, restore it if necessary, and note the result.
-
-    The run's own exit path does not suffice: if the replay stopped early, a new table may be active that it had not yet
-    reached in the records. A note that cannot be written does not hide how the run has ended.
-    """
-    try:
-        text = f"compensation: {reconcile(rig, origin.settings.state_directory, of_run=origin.start.run).text}"
-    except VolcalError as error:
-        text = f"could not read the controller's compensation: {error}"
-    attempt("note the compensation", lambda: note(text))

@@ -40,6 +40,7 @@ from drivers.errors import (
     LinkError,
     LinkLost,
     MotionFault,
+    StoreError,
     VolcalError,
 )
 from drivers.links.modbus_transport import DamagedFrame
@@ -282,6 +283,19 @@ def test_only_faults_from_outside_can_be_resumed(journal: Journal, tmp_path: Pat
     run.begin(step)
     run.fail(step, error)
     run.state(RunState.FAULTED, str(error), final=True)
+    assert (unfinished_run(tmp_path) is not None) is resumable
+
+
+@pytest.mark.parametrize(("before_return", "resumable"), [(True, True), (False, False)])
+def test_an_error_before_the_return_leaves_a_run_resumable(
+    journal: Journal, tmp_path: Path, before_return: bool, resumable: bool
+) -> None:
+    run = begun(journal)
+    run.begin(TouchTowards("touch", (1.0, 0.0, 0.0), 5.0))
+    run.state(RunState.MEASURING)
+    run.state(RunState.RESUMING)
+    run.fault(StoreError("the file of the bank is damaged"), before_return=before_return)
+    run.state(RunState.FAULTED, "the file of the bank is damaged", final=True)
     assert (unfinished_run(tmp_path) is not None) is resumable
 
 
