@@ -30,6 +30,7 @@ from agent.results.run_outcome import Outcome
 from agent.runs.guard import attempt, carry_out_guarded
 from agent.runs.last_homing import after_homing
 from agent.runs.origin import origin_record
+from agent.runs.other_machine import require_own_state_directory
 from agent.runs.planned_run import Kind, PlannedRun, StartConditions
 from agent.runs.reference_state import write_copy
 from agent.runs.result_files import write_results
@@ -79,6 +80,7 @@ def carry_out(
     """
     hooks, run_id, settings = hooks or RunHooks(), run_id or new_run_id(), job.settings
     with run_resources(settings.state_directory, settings.clock, run_id, hooks) as resources:
+        require_own_state_directory(settings)
         clock = resources.interruptible(resources.clock)
         rig = hooks.devices.assemble(settings, clock, base)
         journal = enter_in_journal(resources.journal, run_id, job, kind, clock, asked or {})

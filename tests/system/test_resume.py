@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from journal_surgery import change_start_of_measuring, rename_steps
-from nights import Night, short_document
+from nights import CONFIG, Night, short_document
 from stored_run import stored_run
 from test_whole_run import WrongSign
 from test_whole_run_interrupted import FORMER, Cut, Tripwire, with_device
@@ -366,6 +366,19 @@ def test_another_run_does_not_take_an_unproved_table_for_granted(proving: Broken
     result = abandon(proving.rig, STATE, "test")
     assert (result.action, proving.night.active) == (ReconcileAction.RESTORED, 1)
     assert unfinished_run(STATE) is None
+
+
+def test_a_run_of_another_machine_neither_begins_nor_hides_an_unproved_table(proving: Broken) -> None:
+    """Two settings files in one folder share the default state directory."""
+    lathe = Path(shutil.copytree(CONFIG / "machines", "machines")) / "case-study.toml"
+    lathe.write_text(lathe.read_text().replace('name = "case-study"', 'name = "lathe-3"', 1))
+    before = stored_run(STATE).row
+    with pytest.raises(ConfigurationError, match="of another machine") as refused:
+        Night().run(document() | {"machine": str(lathe.resolve())}, files=False)
+    assert refused.value.where["key"] == "state_directory"
+    assert run_ids(STATE) == (before.run_id,)
+    left = compensation_left(proving.rig, STATE)
+    assert left is not None and left.blocks_runs and left.unproved is not None and left.unproved.provable
 
 
 class Refusing:

@@ -27,6 +27,7 @@ if will_run():
     from agent.execution.device_assembly import assemble, closing_clock, make_clock
     from agent.execution.run_lock import run_lock
     from agent.results.run_outcome import Decision
+    from agent.runs.other_machine import require_own_state_directory
     from agent.runs.reconcile import reconcile
     from agent.runs.reconcile_result import CompensationState, ReconcileAction, Reconciliation
     from agent.runs.resume.abandon import abandon as abandon_run
@@ -69,6 +70,7 @@ def resume_command(config: Path, abandon: bool, restore: bool, as_json: bool) ->
         return
     if resumed_by_service(settings):
         return
+    require_own_state_directory(settings)
     with watching(Console(stderr=True)) as listener, interruptible() as interrupts:
         ended = resume(settings.state_directory, RunHooks(announce=listener, attach=interrupts.append))
     _show_and_exit(ended, as_json=as_json)
@@ -112,6 +114,7 @@ def _settle(settings: Settings, base: Path, *, give_up: bool, as_json: bool) -> 
             done = ReconcileAction.RESTORED.value
         _print_settled(run, found, done, "", now["active_bank"], now["written_not_active"], as_json=as_json)
         return
+    require_own_state_directory(settings)
     with (
         run_lock(settings.state_directory, "to be given up" if give_up else "whose former table is reactivated"),
         closing_clock(make_clock(settings.clock)) as clock,

@@ -19,6 +19,7 @@ from agent.planning.job_preparation import prepare_job
 from agent.printable import one_line
 from agent.results.run_requester import named
 from agent.runs.kinds.restoration import TABLE_ROLES, Restoration, stored_table
+from agent.runs.other_machine import require_own_state_directory
 from agent.runs.planned_run import Kind
 from agent.runs.reconcile_result import Reconciliation
 from agent.runs.requested_run import job_of, kind_of
@@ -142,7 +143,8 @@ class Owner:
 
     def _settle(self, what: str, by: str, act: Callable[[Settings, Path], Reconciliation]) -> None:
         """Carry out a way out of an unproved table or of an unfinished run that needs no run. Raise StoreError if the
-        table is still active, or if the run that is given up is still unfinished."""
+        table is still active, or if the run that is given up is still unfinished, and ConfigurationError if it is one
+        of another machine."""
         with self.use.lock:
             self.use.await_work()  # first, since it releases the lock
             self.use.require_no_run()
@@ -151,6 +153,7 @@ class Owner:
                 "it is allowed between runs, after a reset, while a table is active that was never proved; "
                 "a run can also be given up while it is unfinished",
             )
+            require_own_state_directory(self.settings)
             self._note(_SETTLING[what], by)
             given_up = self._board.status().unfinished
             found = act(self.settings, self._parts.config.parent)
@@ -271,6 +274,7 @@ class Owner:
             self.use.require_service()
             self.use.require_no_run()
             self._require_reset()
+            require_own_state_directory(self.settings)
             running = RunMailbox(new_run_id(), self._parts.health.beat)
             self.use.occupy(running)
             return running

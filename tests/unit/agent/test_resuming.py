@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
+from service_house import CONFIG, house, settings_document
 
+from agent.cli.run_commands.resume import resume_command
 from agent.errors import Aborted, PlanDiverged
 from agent.execution.encoding import decode_result, encode_result, table_digest
 from agent.execution.engine import Action
@@ -27,13 +31,19 @@ from agent.execution.steps import (
     Step,
     TouchTowards,
 )
+from agent.results.decision_kinds import INPUTS
+from agent.runs.other_machine import require_own_state_directory
+from agent.runs.reconcile_result import CompensationState, ReconcileAction, Reconciliation
 from agent.runs.resume.replay_clock import ResumedClock
 from agent.runs.resume.replay_engine import Replay, ReplayingEngine
 from agent.runs.resume.step_trace import StepTrace
+from agent.runs.run_request import RunRequest
 from agent.runs.unfinished_run import unfinished_run
+from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
 from drivers.errors import (
     CommandRejected,
+    ConfigurationError,
     DeadlineExpired,
     GuardTripped,
     InputError,
@@ -414,3 +424,111 @@ def test_a_tag_differs_between_runs_and_steps() -> None:
 
 def test_an_empty_log_consumes_nothing() -> None:
     assert not ReplayLog().consume("decisions", "gate", "{}")
+
+
+MILL = "case-study"
+"""Name in the machine file of `settings_document`."""
+FOLDERS = ("machines", "artefacts")
+
+
+def settings_of(state: Path, /, **history: str) -> Settings:
+    return Settings.model_validate(settings_document(state, history=history))
+
+
+def interrupted_run_of(journal: Journal, machine: str, /, **history: str) -> RunJournal:
+    run = journal.start_run("run-1", "calibrate", {"machine": "m.toml", "history": history}, "0", VirtualClock())
+    run.decision(INPUTS, {"machine": machine})
+    run.origin({"kind": "calibrate"})
+    run.begun()
+    run.begin(TouchTowards("touch", (1.0, 0.0, 0.0), 5.0))
+    run.state(RunState.MEASURING)
+    return run
+
+
+def test_a_run_of_another_machine_that_can_be_resumed_is_protected(journal: Journal, tmp_path: Path) -> None:
+    run = interrupted_run_of(journal, "lathe-3")
+    with pytest.raises(ConfigurationError, match="run run-1 of another machine \\(lathe-3\\) is unfinished") as refused:
+        require_own_state_directory(settings_of(tmp_path))
+    assert refused.value.where["key"] == "state_directory"
+    assert "former name" in refused.value.hint
+    run.state(RunState.COMPLETE, final=True)
+    require_own_state_directory(settings_of(tmp_path))
+
+
+def test_an_unproved_table_of_another_machine_is_protected(journal: Journal, tmp_path: Path) -> None:
+    run = interrupted_run_of(journal, "lathe-3")
+    run.table("backup", 1, TABLE)
+    run.table("staged", 2, TABLE)
+    run.begin(ActivateBank("activate", 2))
+    run.fault(GuardTripped("hit"))
+    run.state(RunState.FAULTED, "hit; bank 1 could not be made active again", final=True)
+    assert unfinished_run(tmp_path) is None
+    with pytest.raises(ConfigurationError, match="a table of run run-1 of another machine"):
+        require_own_state_directory(settings_of(tmp_path))
+    run.table("restored", 1, TABLE)
+    require_own_state_directory(settings_of(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("machine", "then", "now", "same"),
+    [
+        (MILL, {}, {}, True),
+        (MILL, {}, {"machine": "mill-7"}, True),
+        (MILL, {"machine": "mill-7"}, {}, True),
+        (MILL, {"machine": "mill-7"}, {"machine": "mill-8"}, False),
+        ("before the name was corrected", {"machine": "mill-7"}, {"machine": "mill-7"}, True),
+        ("lathe-3", {"machine": "lathe-3"}, {}, False),
+    ],
+)
+def test_a_machine_is_known_by_its_name_in_the_history_or_else_in_its_file(
+    journal: Journal, tmp_path: Path, machine: str, then: dict[str, str], now: dict[str, str], same: bool
+) -> None:
+    interrupted_run_of(journal, machine, **then)
+    with nullcontext() if same else pytest.raises(ConfigurationError):
+        require_own_state_directory(settings_of(tmp_path, **now))
+
+
+def test_a_run_of_which_no_machine_is_recorded_is_taken_as_one_of_this_machine(
+    journal: Journal, tmp_path: Path
+) -> None:
+    require_own_state_directory(settings_of(tmp_path))
+    begun(journal).begin(TouchTowards("touch", (1.0, 0.0, 0.0), 5.0))
+    assert unfinished_run(tmp_path) is not None
+    require_own_state_directory(settings_of(tmp_path))
+
+
+def test_the_service_refuses_requests_that_would_end_a_run_of_another_machine(journal: Journal, tmp_path: Path) -> None:
+    interrupted_run_of(journal, "lathe-3")
+    with house(tmp_path) as built:
+        owner = built.owner
+        shown = Reconciliation(
+            CompensationState.AS_EXPECTED, ReconcileAction.NOTHING, 1, unfinished=unfinished_run(tmp_path)
+        )
+        built.machine.found.append(shown)
+        owner.reset()
+        for request in (
+            lambda: owner.start(RunRequest(kind="calibrate", source="page", consent=True)),
+            lambda: owner.resume_run("page"),
+            owner.give_up,
+        ):
+            with pytest.raises(ConfigurationError, match="of another machine"):
+                request()
+            assert not owner.busy
+        assert built.machine.asked == ["reached"]
+
+
+@pytest.mark.parametrize("options", [[], ["--give-up"], ["--restore"]])
+def test_the_command_refuses_to_resume_or_settle_a_run_of_another_machine(
+    journal: Journal, tmp_path: Path, options: list[str]
+) -> None:
+    interrupted_run_of(journal, "lathe-3")
+    config = tmp_path / "volcal.toml"
+    shipped = (CONFIG / "case-study.toml").read_text()
+    for relative, absolute in (("../runs", tmp_path), *((f"{one}/", f"{CONFIG / one}/") for one in FOLDERS)):
+        shipped = shipped.replace(f'"{relative}', f'"{absolute}')
+    config.write_text(shipped)
+    ended = CliRunner().invoke(resume_command, ["--config", str(config), *options])
+    assert ended.exit_code == 2
+    assert "of another machine" in ended.output
+    found = unfinished_run(tmp_path)
+    assert found is not None and found.resumable
