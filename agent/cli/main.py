@@ -16,6 +16,7 @@ import click
 
 from agent.cli.errors import VolcalGroup
 from agent.cli.invocation import will_run
+from agent.lasting_output import lasting
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoints
@@ -219,7 +220,7 @@ def main(ctx: click.Context, verbose: bool) -> None:
 def configure_logging(level: int) -> None:
     """Configure structured logging for messages of `level` and above.
 
-    Logs are written to stderr, because stdout is for results.
+    Logs are written to stderr, because stdout is for results. A log that cannot be written is discarded.
     """
     import structlog  # noqa: PLC0415  slow to import, and the list of commands does not log
 
@@ -231,7 +232,7 @@ def configure_logging(level: int) -> None:
             structlog.processors.KeyValueRenderer(key_order=["timestamp", "level", "event"]),
         ],
         wrapper_class=structlog.make_filtering_bound_logger(level),
-        logger_factory=structlog.WriteLoggerFactory(file=sys.stderr),
+        logger_factory=structlog.WriteLoggerFactory(file=lasting(sys.stderr)),
     )
 
 

@@ -6,8 +6,11 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
+
+import structlog
 
 from agent.errors import JournalFailed
 from agent.execution.journal import RunJournal
@@ -27,10 +30,15 @@ class Announcement:
 
 Listener = Callable[[Announcement], None]
 
+log: structlog.stdlib.BoundLogger = structlog.get_logger()
+
 
 class RunStateTracker:
     """State of one run. The methods write every change of the state to the journal and announce it to the caller of the
     run.
+
+    An error of the listener does not concern the run: a machine that moves must be stopped, withdrawn and restored
+    although nobody is shown so. The first such error is logged, and the listener is still called with what follows.
     """
 
     def __init__(self, journal: RunJournal, listener: Listener, replayed: deque[RunState] | None = None) -> None:
@@ -40,6 +48,7 @@ class RunStateTracker:
         self._silent = False
         self._journal = journal
         self._listener = listener
+        self._listener_failed = False
         self.state = RunState.IDLE
         self._held_in: RunState | None = None
 
@@ -74,7 +83,7 @@ class RunStateTracker:
         try:
             self._journal.state(state, reason, final=state in FINAL)
         finally:
-            self._listener(Announcement("state", reason or state.value, {"state": state.value}))
+            self._tell(Announcement("state", reason or state.value, {"state": state.value}))
 
     def hold(self) -> None:
         """Change to the state HELD if this change is permitted from the current state; otherwise the state does not
@@ -94,15 +103,24 @@ class RunStateTracker:
         try:
             self._journal.event("note", {"text": text, **data})
         finally:
-            self._listener(Announcement("note", text, data))
+            self._tell(Announcement("note", text, data))
 
     def announce_note(self, text: str) -> None:
         """Announce the note `text` to the caller of the run without writing it to the journal.
 
         The note is already in the journal, because it is part of a record that the plan has written there.
         """
-        self._listener(Announcement("note", text, {}))
+        self._tell(Announcement("note", text, {}))
 
     def progress(self, text: str, **data: object) -> None:
         """Announce the progress of the run to its caller without writing it to the journal."""
-        self._listener(Announcement("progress", text, data))
+        self._tell(Announcement("progress", text, data))
+
+    def _tell(self, announcement: Announcement) -> None:
+        try:
+            self._listener(announcement)
+        except (Exception, SystemExit) as error:  # noqa: BLE001  rich exits if the reader of its pipe is gone
+            if not self._listener_failed:
+                self._listener_failed = True
+                with suppress(Exception):  # the log may go to the same terminal
+                    log.warning("the display of the run has failed", error=repr(error))

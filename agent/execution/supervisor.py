@@ -33,7 +33,7 @@ class Supervisor:
         self._clock = clock
         self._stop_request: tuple[type[VolcalError], str] | None = None
         self._hold = threading.Event()
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # a signal may come while its thread handles another one
         self._shielded = False
         self._holding = False
         self.on_hold: Callable[[], None] = _do_nothing

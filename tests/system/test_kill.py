@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -55,3 +57,28 @@ def test_killed_simulator_is_a_fault_that_names_link_and_step(simulator, tmp_pat
     assert run.row.state == "faulted"
     [unfinished] = [step.key for step in run.steps if step.finished_s is None]
     assert unfinished in complaint
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_a_run_whose_output_is_gone_is_left_safely(number: signal.Signals, simulator, tmp_path: Path) -> None:
+    """As `volcal calibrate 2>&1 | tee log` that Ctrl-C ends, and a connection to the computer that breaks off."""
+    _, ready = simulator
+    config, state = configured(ready, tmp_path), tmp_path / "state"
+    reading, writing = os.pipe()
+    arguments = ["calibrate", "--config", str(config), "--stations", "1"]
+    with subprocess.Popen([*COMMAND, *arguments], cwd=tmp_path, stdout=writing, stderr=writing, text=True) as agent:
+        try:
+            os.close(writing)
+            wait_until(lambda: balls_in(state) >= BALLS_BEFORE_THE_KILL, agent)
+            os.close(reading)
+            agent.send_signal(number)
+            agent.wait(PATIENCE_S)
+        finally:
+            agent.kill()
+    assert agent.returncode == 5
+    assert is_intact(state)
+    run = stored_run(state)
+    assert run.row.state == "aborted"
+    assert f"aborted: {number.name}" in (run.row.reason or "")
+    assert run.row.ended is not None
+    assert any(step.key == "recover/retreat" or step.key.startswith("recover/") for step in run.steps)

@@ -11,6 +11,7 @@ from agent.cli.errors import reported
 from agent.cli.invocation import will_run
 from agent.cli.options import config_option, procedure_options
 from agent.cli.run_commands.sequential_options import SequentialOptions, sequential_options
+from agent.lasting_output import lasting_output
 
 if will_run():
     from agent.cli.run_commands.local_run import calibrate_here, conclude
@@ -35,6 +36,7 @@ if will_run():
     help="With --simulated: scenario of the simulation [default: simulator.toml beside the settings].",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end.")
+@lasting_output()
 @reported
 def calibrate_command(
     config: Path,

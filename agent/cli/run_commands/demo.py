@@ -13,6 +13,7 @@ from agent.cli.errors import reported
 from agent.cli.invocation import will_run
 from agent.cli.run_commands.sequential_options import SequentialOptions, sequential_options
 from agent.cli.run_commands.simulator_process import ANY_SOCKETCAND
+from agent.lasting_output import lasting_output
 
 if will_run():
     from agent.cli.run_commands.simulated_calibration import calibrate_simulated
@@ -52,6 +53,7 @@ if will_run():
 )
 @click.option("--out", type=click.Path(path_type=Path), default=Path("runs"), show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end.")
+@lasting_output()
 @reported
 def demo_command(
     case_name: str,

@@ -38,8 +38,8 @@ def run_here(request: RunRequest, settings: Settings, base: Path, *, nights: flo
     """Carry out the run that `request` asks for, in this process and with a progress bar on stderr. Return the result
     of the run. `base` is the directory to which relative paths in the settings refer.
 
-    Ctrl-C and SIGTERM abort the run. `nights` is the number of nights since the last run whose result was accepted as
-    the reference for later runs. If `nights` is None, the number is computed from the calendar.
+    Ctrl-C, SIGTERM and SIGHUP abort the run. `nights` is the number of nights since the last run whose result was
+    accepted as the reference for later runs. If `nights` is None, the number is computed from the calendar.
     """
     job = job_of(request, settings, base)
     return carry_out_here(job, kind_of(request, slot_minutes=request.slot_minutes, nights=nights), base)
@@ -58,27 +58,47 @@ def calibrate_here(settings: Settings, base: Path, end: SequentialOptions) -> Ru
 
 
 def carry_out_here(job: Job, kind: Kind, base: Path) -> RunResult:
-    """Carry out a run of a kind in this process and with a progress bar on stderr. Return the result of the run. Ctrl-C
-    and SIGTERM abort the run."""
-    with watching(Console(stderr=True)) as listener, interruptible() as interrupts:
-        return carry_out(job, kind, base, RunHooks(announce=listener, attach=interrupts.append))
+    """Carry out a run of a kind in this process and with a progress bar on stderr. Return the result of the run.
+    Ctrl-C, SIGTERM and SIGHUP (the terminal has hung up) abort the run."""
+    with watching(Console(stderr=True)) as listener, interruptible() as signals:
+        return carry_out(job, kind, base, RunHooks(announce=listener, attach=signals.attach))
+
+
+class StopSignals:
+    """Abort of a run by signals. The supervisor of the run, which receives requests to stop it, may be attached after
+    the signal has come: the run is then aborted at once."""
+
+    def __init__(self) -> None:
+        self._supervisors: list[Supervisor] = []
+        self._received: str | None = None
+
+    def attach(self, supervisor: Supervisor) -> None:
+        """Abort the run of `supervisor` on the next signal, or at once if a signal has already come."""
+        self._supervisors.append(supervisor)
+        if self._received is not None:
+            supervisor.request_abort(self._received)
+
+    def receive(self, number: int, _: FrameType | None = None) -> None:
+        """Abort the runs of the attached supervisors because of the signal `number`."""
+        name = signal.Signals(number).name
+        self._received = self._received or name
+        for supervisor in self._supervisors:
+            supervisor.request_abort(name)
 
 
 @contextmanager
-def interruptible() -> Iterator[list[Supervisor]]:
-    """Yield an empty list to which the caller can add supervisors, the objects that receive requests to stop a run.
+def interruptible() -> Iterator[StopSignals]:
+    """Yield the object to which the supervisor of a run can be attached. During the `with` block, Ctrl-C, SIGTERM and
+    SIGHUP abort this run.
 
-    During the `with` block, Ctrl-C and SIGTERM send an abort request to every supervisor in the list.
+    SIGHUP stays ignored if the process was started so, as by `nohup`: its run must outlive the terminal.
     """
-    supervisors: list[Supervisor] = []
-
-    def ask(number: int, _: FrameType | None) -> None:
-        for supervisor in supervisors:
-            supervisor.request_abort(signal.Signals(number).name)
-
-    former = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    signals, numbers = StopSignals(), [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
+    former = {number: signal.signal(number, signals.receive) for number in numbers}
     try:
-        yield supervisors
+        yield signals
     finally:
         for number, handler in former.items():
             signal.signal(number, handler)

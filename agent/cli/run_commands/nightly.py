@@ -15,6 +15,7 @@ from agent.cli.errors import fail, reported
 from agent.cli.invocation import will_run
 from agent.cli.options import Duration
 from agent.cli.run_commands.night_options import night_options, run_night
+from agent.lasting_output import lasting_output
 
 if will_run():
     from agent.cli.run_commands.local_run import conclude
@@ -25,6 +26,7 @@ if will_run():
 
 @click.command("verify")
 @night_options
+@lasting_output()
 @reported
 def verify_command(config: Path, standing_at: int | None, nights: float | None, as_json: bool) -> None:
     """Measure a few positions with the active table and compare with the last accepted night.
@@ -51,6 +53,7 @@ def verify_command(config: Path, standing_at: int | None, nights: float | None, 
     help="Whether a full calibration may fill the slot if one is needed [default: nightly.full_allowed].",
 )
 @night_options
+@lasting_output()
 @reported
 def nightly_command(
     config: Path,

@@ -12,6 +12,7 @@ import click
 from agent.cli.errors import fail, reported
 from agent.cli.invocation import will_run
 from agent.cli.options import config_option
+from agent.lasting_output import lasting_output
 
 if will_run():
     from rich.console import Console
@@ -54,6 +55,7 @@ NO_UNPROVED_TABLE = "no table was active that was never proved"
     help="Do not resume: try to reactivate the previous table; the run can still be resumed.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end.")
+@lasting_output()
 @reported
 def resume_command(config: Path, abandon: bool, restore: bool, as_json: bool) -> None:
     """Resume the interrupted run; completed measurements are not repeated.
@@ -71,8 +73,8 @@ def resume_command(config: Path, abandon: bool, restore: bool, as_json: bool) ->
     if resumed_by_service(settings):
         return
     require_own_state_directory(settings)
-    with watching(Console(stderr=True)) as listener, interruptible() as interrupts:
-        ended = resume(settings.state_directory, RunHooks(announce=listener, attach=interrupts.append))
+    with watching(Console(stderr=True)) as listener, interruptible() as signals:
+        ended = resume(settings.state_directory, RunHooks(announce=listener, attach=signals.attach))
     _show_and_exit(ended, as_json=as_json)
 
 

@@ -10,6 +10,7 @@ import click
 from agent.cli.errors import fail, reported
 from agent.cli.invocation import will_run
 from agent.cli.options import config_option, procedure_options
+from agent.lasting_output import lasting_output
 from twin.artefact.homing_count import FEWEST_HOMINGS, MOST_HOMINGS
 
 if will_run():
@@ -36,6 +37,7 @@ if will_run():
     help=f"Home the axes N times ({FEWEST_HOMINGS} to {MOST_HOMINGS}) and measure the ball after each homing.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end.")
+@lasting_output()
 @reported
 def try_command(
     config: Path,

@@ -9,6 +9,8 @@ import sys
 import structlog
 from structlog.typing import Processor
 
+from agent.lasting_output import lasting
+
 _SHARED: tuple[Processor, ...] = (
     structlog.contextvars.merge_contextvars,
     structlog.processors.add_log_level,
@@ -23,7 +25,7 @@ def log_as_json(level: int) -> None:
     structlog.configure(
         processors=[*_SHARED, *rendered],
         wrapper_class=structlog.make_filtering_bound_logger(level),
-        logger_factory=structlog.PrintLoggerFactory(sys.stdout),
+        logger_factory=structlog.PrintLoggerFactory(lasting(sys.stdout)),
     )
     handler = logging.StreamHandler(sys.stdout)
     handler.setFormatter(

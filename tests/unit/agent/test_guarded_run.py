@@ -11,7 +11,7 @@ import pytest
 
 from agent.errors import Aborted, GateRefused, Interrupted, JournalFailed, MeasurementFault, PlanDiverged
 from agent.execution.engine import Engine
-from agent.execution.run_state import RunStateTracker
+from agent.execution.run_state import Announcement, Listener, RunStateTracker
 from agent.execution.states import RunState
 from agent.execution.steps import (
     ActivateBank,
@@ -58,7 +58,7 @@ class FakeMachine:
         self.stopped = self.stood_still = 0
         self.targets: list[tuple[float, float, float]] = []
         self.steps: list[str] = []
-        self.failing: dict[type, VolcalError] = {}
+        self.failing: dict[type, Exception] = {}
         self.complaints: list[str] = []
         self.last_motion = LastMotion()
         self.store = SimpleNamespace(
@@ -153,12 +153,18 @@ class FakeJournal:
 class Run:
     """Run whose plan reads the active compensation, then goes on with the plan `rest` of the test."""
 
-    def __init__(self, machine: FakeMachine, journal: FakeJournal, rest: Callable[[Run], Plan[None]]) -> None:
+    def __init__(
+        self,
+        machine: FakeMachine,
+        journal: FakeJournal,
+        rest: Callable[[Run], Plan[None]],
+        listener: Listener = lambda _: None,
+    ) -> None:
         rig: Any = machine
         recorder: Any = journal
         clock, hooks = VirtualClock(), RunHooks()
         self.supervisor, self.results = Supervisor(clock), RunResults()
-        tracker = RunStateTracker(recorder, lambda _: None)
+        tracker = RunStateTracker(recorder, listener)
         actions = run_actions(rig, recorder, tracker, self.supervisor, hooks)
         engine = Engine(actions, journal, self.results.observe)
         self._context = RunContext(rig, engine, recorder, tracker, self.supervisor, clock, hooks)
@@ -418,3 +424,139 @@ def test_a_defect_is_raised_after_the_machine_is_as_it_was_found(in_step: bool) 
     assert state is RunState.FAULTED
     assert reason.startswith("internal error of the program")
     assert "Zero" not in reason
+
+
+class GoneDisplay:
+    """Display whose terminal, or the reader of whose pipe, is gone after the new table has been activated."""
+
+    def __init__(self, error: BaseException) -> None:
+        self.error: BaseException | None = None
+        self.asked: list[str] = []
+        self._error = error
+
+    def break_off(self) -> None:
+        self.error = self._error
+
+    def __call__(self, announcement: Announcement) -> None:
+        self.asked.append(announcement.text)
+        if self.error is not None:
+            raise self.error
+
+
+GONE = [SystemExit(1), OSError(5, "Input/output error"), BrokenPipeError(32, "Broken pipe"), KeyError("phase")]
+
+
+@pytest.mark.parametrize("gone", GONE)
+@pytest.mark.parametrize("error", [Aborted("aborted: SIGINT"), GateRefused("no table was written: gate fit")])
+def test_a_run_ends_the_same_without_its_display(error: VolcalError, gone: BaseException) -> None:
+    machine, journal, display = FakeMachine(), FakeJournal(), GoneDisplay(gone)
+
+    def rest(_: Run) -> Plan[None]:
+        if isinstance(error, Aborted):
+            yield from written()
+        display.break_off()
+        yield Conclude("fails", raising_now(error))
+
+    run = Run(machine, journal, rest, display)
+    run.carry_out()
+    assert run.results.error is error
+    assert machine.active == FOUND
+    if isinstance(error, Aborted):
+        assert (machine.stopped, machine.position[1]) == (1, RETREAT_Y_MM)
+        assert journal.tables == [("backup", FOUND), ("restored", FOUND)]
+        assert [state for state, _ in journal.states[-2:]] == [RunState.ABORTING, RunState.ABORTED]
+    else:
+        assert journal.states[-1][0] is RunState.REFUSED
+
+
+def raising_now(error: BaseException) -> Callable[[], None]:
+    def fail() -> None:
+        raise error
+
+    return fail
+
+
+@pytest.mark.parametrize("gone", GONE)
+def test_a_display_that_fails_once_does_not_end_the_run_and_is_told_what_follows(gone: BaseException) -> None:
+    display: Any = GoneDisplay(gone)
+    recorder: Any = FakeJournal()
+    recorder.event = lambda _, record: recorder.decisions.append(record["text"])
+    tracker = RunStateTracker(recorder, display)
+    display.break_off()
+    tracker.enter(RunState.PREFLIGHT)
+    tracker.note("preflight passed")
+    tracker.announce_note("question answered")
+    tracker.progress("ball 1", fraction=0.5)
+    assert tracker.state is RunState.PREFLIGHT
+    assert (recorder.states, recorder.decisions) == ([(RunState.PREFLIGHT, "")], ["preflight passed"])
+    assert display.asked == ["preflight", "preflight passed", "question answered", "ball 1"]
+
+
+def test_the_end_of_the_process_of_a_run_is_not_the_error_of_a_display() -> None:
+    display = GoneDisplay(KeyboardInterrupt())
+    recorder: Any = FakeJournal()
+    tracker = RunStateTracker(recorder, display)
+    display.break_off()
+    with pytest.raises(KeyboardInterrupt):
+        tracker.enter(RunState.PREFLIGHT)
+
+
+@pytest.mark.parametrize("cause", [MotionFault("limit"), Aborted("aborted: panel"), KeyError("another defect")])
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [
+        ("record", "could not record the state: internal error of the program"),
+        ("stop", "could not stop the devices: internal error of the program"),
+        ("standstill", "could not bring the axes to a standstill: internal error of the program"),
+        ("withdraw", "could not withdraw the probe: internal error of the program"),
+        ("restore", "bank 1 could not be made active again: internal error of the program"),
+    ],
+)
+def test_a_defect_on_the_exit_path_does_not_keep_the_rest_of_it_from_being_done(
+    place: str, said: str, cause: Exception, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    machine, journal = FakeMachine(), FakeJournal()
+    defect = ZeroDivisionError("division by zero")
+
+    def rest(_: Run) -> Plan[None]:
+        yield from written()
+        match place:
+            case "record":
+                monkeypatch.setattr(journal, "state", once(raising_now(defect), journal.state))
+            case "stop":
+                monkeypatch.setattr(machine, "stop", raising_now(defect))
+            case "standstill":
+                machine.failing[DeadlineExpired] = defect
+            case "withdraw":
+                machine.failing[CheckPermissions] = defect
+            case "restore":
+                machine.failing[ActivateBank] = defect
+        raise cause
+
+    run = Run(machine, journal, rest)
+    with pytest.raises(type(cause) if isinstance(cause, KeyError) else ZeroDivisionError) as raised:
+        run.carry_out()
+    if isinstance(cause, KeyError):
+        assert "ZeroDivisionError: division by zero" in "".join(raised.value.__notes__)
+    assert machine.stopped == (0 if place == "stop" else 1)
+    assert machine.stood_still == 1
+    assert machine.targets == ([] if place == "withdraw" else [(100.0, 20.0, 200.0), (100.0, RETREAT_Y_MM, 200.0)])
+    assert machine.active == run.results.active_bank == (NEW if place == "restore" else FOUND)
+    state, reason = journal.states[-1]
+    assert state is RunState.FAULTED
+    assert said in reason
+    assert "Zero" not in reason
+
+
+def once(first: Callable[[], None], then: Callable[..., None]) -> Callable[..., None]:
+    """Return a function that calls `first` at its first call and `then` at all others."""
+    calls: list[None] = []
+
+    def act(*args: Any, **named: Any) -> None:
+        calls.append(None)
+        if len(calls) == 1:
+            first()
+        else:
+            then(*args, **named)
+
+    return act

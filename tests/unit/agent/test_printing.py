@@ -10,6 +10,7 @@ import subprocess
 import sys
 import termios
 import tty
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -17,6 +18,7 @@ from rich.console import Console
 
 import agent.cli
 from agent.cli.printing import columns_table, facts_table, gates_table, results_console
+from agent.lasting_output import lasting_output
 from agent.results.gates.gate_forecast import GateForecast
 
 PATH = "/var/lib/volcal/a-machine-with-a-long-name/20261122T124825Z-fe2a/another-long-folder-of-the-plant/report.html"
@@ -117,3 +119,88 @@ def test_every_command_prints_its_tables_through_this_module() -> None:
 def test_output_that_is_no_terminal_has_no_width(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdout", io.StringIO())
     assert results_console().width > 10_000
+
+
+COMMAND_OF_A_RUN = """
+import logging
+import sys
+import click
+import structlog
+from rich.console import Console
+from agent.cli.errors import fail, reported
+from agent.cli.main import configure_logging
+from agent.cli.printing import facts_table, results_console
+from agent.cli.run_commands.progress import watching
+from agent.errors import Aborted
+from agent.execution.run_state import Announcement
+from agent.lasting_output import lasting_output
+
+@click.command()
+@lasting_output()
+@reported
+def command():
+    configure_logging(logging.WARNING)
+    with watching(Console(stderr=True)) as listener:
+        for state in ("measuring", "aborting"):
+            listener(Announcement("state", state, {"state": state}))
+            listener(Announcement("progress", "ball", {"fraction": 0.1, "minutes_left": 1.0}))
+            structlog.get_logger().warning("a link was lost")
+    results_console().print(facts_table([("report", "none")]))
+    click.echo("{}")
+    raise fail(Aborted("aborted: SIGHUP"))
+
+command()
+"""
+
+
+def gone_pipe() -> int:
+    reading, writing = os.pipe()
+    os.close(reading)
+    return writing
+
+
+def gone_terminal() -> int:
+    leader, follower = pty.openpty()
+    os.close(leader)
+    return follower
+
+
+@pytest.mark.parametrize("gone", [gone_pipe, gone_terminal])
+@pytest.mark.parametrize("streams", [("stdout", "stderr"), ("stdout",), ("stderr",)])
+def test_a_run_ends_with_its_exit_code_although_nobody_can_read_its_output(
+    gone: Callable[[], int], streams: tuple[str, ...]
+) -> None:
+    output = gone()
+    stdout, stderr = (output if stream in streams else subprocess.PIPE for stream in ("stdout", "stderr"))
+    command = [sys.executable, "-c", COMMAND_OF_A_RUN]
+    try:
+        ended = subprocess.run(command, stdout=stdout, stderr=stderr, text=True, check=False)
+    finally:
+        os.close(output)
+    assert ended.returncode == 5
+    assert "Traceback" not in (ended.stderr or "")
+    assert "Exception ignored" not in (ended.stderr or "")
+    if "stderr" not in streams:
+        assert ended.stderr.endswith("error: aborted: SIGHUP\n")
+    if "stdout" not in streams:
+        assert ended.stdout.endswith("{}\n")
+
+
+def test_a_result_that_a_full_disk_cuts_off_is_an_error_and_lost_progress_is_none() -> None:
+    command = [sys.executable, "-c", COMMAND_OF_A_RUN]
+    with Path("/dev/full").open("wb") as full:
+        result = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+        progress = subprocess.run(command, stdout=subprocess.PIPE, stderr=full, text=True, check=False)
+    assert result.returncode == 1
+    assert "No space left on device" in result.stderr
+    assert progress.returncode == 5
+    assert progress.stdout.endswith("{}\n")
+
+
+def test_streams_are_themselves_again_after_a_command() -> None:
+    former = sys.stdout, sys.stderr
+    with lasting_output():
+        assert sys.stdout is not former[0]
+        assert sys.stdout.encoding == former[0].encoding
+        assert sys.stderr.isatty() == former[1].isatty()
+    assert (sys.stdout, sys.stderr) == former

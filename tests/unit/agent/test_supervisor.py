@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
 import pytest
 
+from agent.cli.run_commands.local_run import interruptible
 from agent.errors import Aborted, Interrupted
 from agent.execution.supervisor import Supervisor
 from drivers.clock import INTERRUPT_SLICE_S, Deadline, InterruptibleClock, VirtualClock
@@ -85,3 +92,45 @@ def test_the_exit_path_is_not_interrupted_again() -> None:
     supervisor.shield()
     InterruptibleClock(inner, supervisor.check).sleep(1.0)
     assert inner.now() == pytest.approx(1.0)
+
+
+@contextmanager
+def hang_up_means(handler: Any) -> Iterator[None]:
+    former = signal.signal(signal.SIGHUP, handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGHUP, former)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("before", [False, True])
+def test_a_signal_aborts_the_run_also_if_it_comes_before_the_run(number: signal.Signals, before: bool) -> None:
+    supervisor, resumed = Supervisor(VirtualClock()), Supervisor(VirtualClock())
+    with hang_up_means(lambda *_: None), interruptible() as signals:
+        if before:
+            os.kill(os.getpid(), number)
+        signals.attach(supervisor)
+        if not before:
+            os.kill(os.getpid(), number)
+        os.kill(os.getpid(), signal.SIGTERM)
+        signals.attach(resumed)  # of the same run, which is resumed once more
+    for one in (supervisor, resumed):
+        with pytest.raises(Aborted, match=f"aborted: {number.name}"):
+            one.check()
+
+
+def test_after_the_run_a_signal_means_what_it_meant_before() -> None:
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    former = [signal.getsignal(number) for number in numbers]
+    with interruptible():
+        pass
+    assert [signal.getsignal(number) for number in numbers] == former
+
+
+def test_a_run_that_is_to_outlive_its_terminal_is_not_aborted_when_the_terminal_hangs_up() -> None:
+    supervisor = Supervisor(VirtualClock())
+    with hang_up_means(signal.SIG_IGN), interruptible() as signals:
+        signals.attach(supervisor)
+        os.kill(os.getpid(), signal.SIGHUP)
+    supervisor.check()
