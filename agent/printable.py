@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 REPLACEMENT = "\N{REPLACEMENT CHARACTER}"
+MAX_REASON = 200
+"""Longest reason of an abort in characters. Anybody may abort, so the reason may be any text."""
 
 
 def printable(text: str) -> str:

@@ -20,9 +20,6 @@ from agent.runs.run_request import RunRequest, Source
 from agent.runs.unproved_table import UnprovedTable
 from drivers.roles import PlacementRequest
 
-MAX_REASON = 200
-"""Longest reason of an abort in characters. Anybody may abort, so the reason may be any text."""
-
 
 @dataclass(frozen=True)
 class Question:

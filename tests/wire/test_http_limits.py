@@ -16,10 +16,11 @@ from fake_control import FakeControl
 from structlog.testing import capture_logs
 from waiting import PATIENCE_S
 
+from agent.printable import MAX_REASON
 from agent.service.access.access import Access
 from agent.service.access.paired_clients import PairedClients
 from agent.service.access.pairing_codes import PairingCodes
-from agent.service.control import MAX_REASON, Status
+from agent.service.control import Status
 from agent.service.http import connections
 from agent.service.http.app import create_app
 from agent.service.http.app_state import AppState

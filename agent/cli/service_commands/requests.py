@@ -16,9 +16,8 @@ from agent.cli.invocation import will_run
 from agent.cli.options import config_option
 
 if will_run():
-    from agent.printable import one_line
+    from agent.printable import MAX_REASON, one_line
     from agent.service.client import Client, NoService
-    from agent.service.control import MAX_REASON
     from agent.settings.load import read_settings
     from agent.settings.schema import Settings
     from drivers.errors import ConfigurationError

@@ -12,10 +12,9 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
 from agent.files import translated
-from agent.printable import one_line
+from agent.printable import MAX_REASON, one_line
 from agent.service.access.roles import CHECK_SETTINGS, RESTORE_TABLE, Requester
 from agent.service.allowed_requests import ANSWER, GIVE_UP, HOLD, RESET, RESTORE_FORMER, RESUME, RESUME_RUN, START
-from agent.service.control import MAX_REASON
 from agent.service.http.app_state import AppStateDependency
 from agent.service.http.models import (
     AbortBody,

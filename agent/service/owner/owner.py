@@ -16,7 +16,7 @@ from agent.execution.states import RunState
 from agent.model_files import load_machine
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
-from agent.printable import one_line
+from agent.printable import MAX_REASON, one_line
 from agent.results.run_requester import named
 from agent.runs.kinds.restoration import TABLE_ROLES, Restoration, stored_table
 from agent.runs.other_machine import require_own_state_directory
@@ -29,7 +29,7 @@ from agent.runs.run_request import RunRequest, Source
 from agent.runs.session import RunResult, new_run_id
 from agent.service import allowed_requests
 from agent.service.alarms import alarm_of
-from agent.service.control import MAX_REASON, Alarm, Event, Status
+from agent.service.control import Alarm, Event, Status
 from agent.service.owner.machine_use import MachineUse
 from agent.service.owner.owner_parts import OwnerParts
 from agent.service.owner.questions import Questions

@@ -18,9 +18,8 @@ from agent.cli.run_commands.progress import watching
 from agent.cli.service_commands import pair
 from agent.execution.run_state import Announcement
 from agent.execution.states import RunState
-from agent.printable import one_line, printable
+from agent.printable import MAX_REASON, one_line, printable
 from agent.service.client import _parse_events
-from agent.service.control import MAX_REASON
 from drivers.errors import InputError
 
 CASE_STUDY = Path(__file__).resolve().parents[3] / "config" / "case-study.toml"
