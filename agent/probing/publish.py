@@ -75,6 +75,24 @@ def restore(bank: int, *, after_fault: bool, activation: Activation = Activation
     yield from activate("restore", bank, activation)
 
 
+def read_restored(bank: int) -> Plan[ActiveCompensation]:
+    """Read the table in `bank`, which has been reactivated. It may differ from the one that was found there before: the
+    bank was inactive meanwhile, and anybody could write to it."""
+    table = yield ReadTable("restore/active-table", bank)
+    return ActiveCompensation(bank, table)
+
+
+def require_as_found(found: ActiveCompensation, held: ActiveCompensation) -> None:
+    """Raise ReadBackMismatch if the reactivated bank contains another table than before the run. `found` is the
+    compensation before the run, `held` the one after its reactivation."""
+    before, after = (None if one.table is None else table_digest(one.table) for one in (found, held))
+    if after != before:
+        raise ReadBackMismatch(
+            f"bank {found.bank} holds another table than before the run",
+            hint="it was written meanwhile: find out by whom, or write the former table with `volcal table restore`",
+        )
+
+
 def activate(prefix: str, bank: int, activation: Activation = Activation.IMMEDIATE) -> Plan[None]:
     """Activate the controller's compensation bank `bank` and check that it is active. Raises ReadBackMismatch if the
     controller reports a different active bank.

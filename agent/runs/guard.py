@@ -117,29 +117,41 @@ class _Guard:
         self._engine.run(withdraw(rules.retreat, axis, rules.probing.retract_mm, last_motion))
 
     def _attempt_restore(self) -> list[str]:
-        """Activate the former bank.
+        """Activate the former bank, and compare the table in it with the one before the run.
 
         If the journal fails, this is done without the journal. Return error texts, empty on success.
         """
         found = self._results.found
         if found is None or self._results.active_bank == found.bank:
             return []
+        failure = self._failure(lambda: self._restore(found))
+        if failure is not None:
+            return [f"bank {found.bank} could not be made active again: {failure}"]
+        self._results.active_bank = found.bank
+        held: list[publish.ActiveCompensation] = []
+        failure = self._failure(lambda: held.append(self._engine.run(publish.read_restored(found.bank))))
+        if failure is not None:
+            return [f"bank {found.bank} is active again, but its table could not be read: {failure}"]
+        self._attempt("record what was restored", lambda: self._journal.table("restored", found.bank, held[-1].table))
+        other = self._failure(lambda: publish.require_as_found(found, held[-1]))
+        return [] if other is None else [str(other)]
+
+    def _failure(self, action: Callable[[], None]) -> VolcalError | None:
+        """Carry out `action`, and again without the journal if the journal fails. Return its error, None on success."""
         try:
-            self._restore(found)
+            action()
         except JournalFailed:
             self._engine = self._engine.without_journal()
-            return self._attempt_restore()
+            return self._failure(action)
         except VolcalError as failure:
-            return [f"bank {found.bank} could not be made active again: {failure}"]
+            return failure
         except Exception as defect:  # noqa: BLE001  it is raised once the machine is as it was found
-            return [f"bank {found.bank} could not be made active again: {self._kept(defect)}"]
-        return []
+            return self._kept(defect)
+        return None
 
     def _restore(self, found: publish.ActiveCompensation) -> None:
         activation = self._context.rig.store.store_limits().activation
         self._engine.run(publish.restore(found.bank, after_fault=True, activation=activation))
-        self._results.active_bank = found.bank
-        self._attempt("record what was restored", lambda: self._journal.table("restored", found.bank, found.table))
 
 
 def _internal_error() -> VolcalError:

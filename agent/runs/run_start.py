@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from importlib.metadata import version
 from itertools import islice
@@ -17,6 +17,7 @@ from agent.results.decision_kinds import INPUTS
 from agent.results.journal_entries import inputs_of
 from agent.runs.planned_run import Kind, StartConditions
 from agent.runs.reconcile import has_compensation_record, reconcile
+from agent.runs.reconcile_result import CompensationState
 from agent.runs.step_progress import FormerPreflight
 from drivers.clock import Clock, utc_timestamp
 from drivers.errors import InputError
@@ -45,15 +46,18 @@ def record_asked(journal: RunJournal, asked: Mapping[str, object]) -> None:
         journal.event("asked", asked)
 
 
-def read_start_conditions(rig: Rig, journal: RunJournal, state_directory: Path) -> StartConditions:
+def read_start_conditions(
+    rig: Rig, journal: RunJournal, state_directory: Path, note: Callable[[str], None]
+) -> StartConditions:
     """Return the present axis positions, the time and the run number as start conditions. `rig`, the devices of the
     machine, must be open.
 
-    Raise PlanRefused if an earlier run has left a compensation table that is not yet confirmed by measurements or not
-    yet active.
+    `note` receives the comparison of the compensation with the earlier runs if somebody has changed it since. Raise
+    PlanRefused if an earlier run has left a compensation table that is not yet confirmed by measurements or not yet
+    active.
     """
     x, y, z = rig.machine.position().tolist()
-    _require_finished_compensation(rig, state_directory)
+    _require_finished_compensation(rig, state_directory, note)
     return StartConditions(
         journal.run,
         utc_timestamp(),
@@ -76,7 +80,7 @@ def last_preflight(state_directory: Path, kind: str) -> FormerPreflight | None:
     return None
 
 
-def _require_finished_compensation(rig: Rig, state_directory: Path) -> None:
+def _require_finished_compensation(rig: Rig, state_directory: Path, note: Callable[[str], None]) -> None:
     """Raise PlanRefused if an earlier run left a table that must first be proved or replaced by the former one.
 
     A new run would take it for the intended compensation of the machine.
@@ -89,3 +93,5 @@ def _require_finished_compensation(rig: Rig, state_directory: Path) -> None:
             f"the last run has left the compensation unfinished: {left.text}",
             hint="no new run starts before that is settled",
         )
+    if left.state is CompensationState.CHANGED:
+        note(f"compensation: {left.text}")

@@ -93,7 +93,7 @@ def carry_out(
         with session.ended_by_errors():
             tracker.enter(RunState.PREFLIGHT)
             with open_rig(context):
-                start = read_start_conditions(rig, journal, settings.state_directory)
+                start = read_start_conditions(rig, journal, settings.state_directory, tracker.note)
                 journal.origin(origin_record(settings, kind, base, start))
                 planned = session.plan(start)
                 journal.begun()

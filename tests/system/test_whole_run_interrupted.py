@@ -11,12 +11,20 @@ import numpy as np
 import pytest
 from nights import Night, short_document
 from stored_run import stored_run
+from test_whole_run import WrongSign
 
-from agent.errors import Aborted, JournalFailed
+from agent.errors import Aborted, JournalFailed, PlanRefused
+from agent.execution.encoding import table_digest
 from agent.execution.journal import RunJournal
+from agent.execution.journal_reader import open_journal
 from agent.execution.rig import Rig
 from agent.execution.states import RunState
+from agent.execution.steps import ActivateBank, Step, TouchTowards
 from agent.execution.supervisor import Supervisor
+from agent.planning.job_preparation import prepare_job
+from agent.runs.kinds.calibrate import FullCalibration
+from agent.runs.session import carry_out
+from agent.settings.schema import Settings
 from drivers.errors import CommandRejected, LinkLost, ReadBackMismatch
 from drivers.roles import TableImage
 
@@ -252,3 +260,56 @@ def test_door_that_opened_during_the_proof_does_not_keep_the_new_table(broken: B
     assert ended.outcome.state is RunState.FAULTED
     assert (broken.night.active, broken.former_acts) == (1, True)
     assert "restore/reset" in [step.key for step in stored_run(broken.state).steps]
+
+
+@pytest.mark.parametrize("end", ["abort", "failed proof"])
+def test_former_bank_that_somebody_writes_during_the_proof_is_told_and_not_called_restored(
+    tmp_path: Path, end: str
+) -> None:
+    state = tmp_path / "state"
+    stores: list[Any] = []
+    supervisors: list[Supervisor] = []
+    other = dataclasses.replace(FORMER, counts=-100 * FORMER.counts)
+
+    def tamper(rig: Rig) -> Rig:
+        if not stores:
+            rig.store.stage(1, FORMER)
+            rig.store.activate(1)
+            stores.append(rig.store)
+        return dataclasses.replace(rig, store=WrongSign(rig.store)) if end == "failed proof" else rig
+
+    night = Night(tamper=tamper)
+    job = prepare_job(Settings.model_validate(short_document(state)), Path.cwd())
+    seen: list[str] = []
+
+    def observe(step: Step, _: object) -> None:
+        if isinstance(step, ActivateBank) or (seen == ["ActivateBank"] and isinstance(step, TouchTowards)):
+            seen.append(type(step).__name__)
+            if seen == ["ActivateBank", "TouchTowards"]:
+                stores[0].stage(1, other)
+                if end == "abort":
+                    supervisors[-1].request_abort("panel")
+
+    hooks = dataclasses.replace(night.hooks, observe=observe, attach=supervisors.append)
+    ended = carry_out(job, FullCalibration(), Path.cwd(), hooks)
+    assert stores[0].active_bank() == 1
+    assert ended.outcome.state is RunState.FAULTED
+    assert ended.outcome.table_bank == 1
+    assert "bank 1 holds another table than before the run" in ended.outcome.reason
+    assert isinstance(ended.error, Aborted if end == "abort" else ReadBackMismatch)
+    with open_journal(state) as reader:
+        row = reader.last_run()
+        assert row is not None
+        restored = [table.crc32 for table in reader.tables(row.run) if table.role == "restored"]
+    sign = 1 if end == "abort" else -1  # of what the controller applies beside what it reads back
+    assert restored == [table_digest(dataclasses.replace(other, counts=sign * other.counts))]
+
+    def refuse(*_: object) -> None:
+        raise PlanRefused("the test ends here")
+
+    told: list[str] = []
+    hooks = dataclasses.replace(
+        night.hooks, preflight_passed=refuse, announce=lambda announced: told.append(announced.text)
+    )
+    carry_out(job, FullCalibration(), Path.cwd(), hooks)
+    assert any("the active compensation is not the one expected after the last run" in text for text in told)

@@ -56,9 +56,12 @@ def prepared_run(job: Job, found: ActiveCompensation) -> Plan[PreparedRun]:
 
 
 def restored(found: ActiveCompensation, activation: Activation) -> Plan[None]:
-    """Reactivate the compensation that was found at the start of the run."""
+    """Reactivate the compensation that was found at the start of the run. Raises ReadBackMismatch if its bank contains
+    another table meanwhile; this table is the one that is journaled."""
     yield from publish.restore(found.bank, after_fault=False, activation=activation)
-    yield known("restore/found", found, lambda journal, _: _record(journal, "restored", found))
+    held = yield from publish.read_restored(found.bank)
+    yield known("restore/found", held, lambda journal, _: _record(journal, "restored", held))
+    publish.require_as_found(found, held)
 
 
 def record_table(role: str, bank: int, image: TableImage | None) -> Plan[None]:

@@ -55,6 +55,7 @@ class FakeMachine:
         self.activation = activation
         self.position = (100.0, 30.0, 200.0)
         self.active = FOUND
+        self.tables: dict[int, TableImage] = {FOUND: TABLE, NEW: TABLE}
         self.stopped = self.stood_still = 0
         self.targets: list[tuple[float, float, float]] = []
         self.steps: list[str] = []
@@ -72,7 +73,7 @@ class FakeMachine:
             CheckPermissions: lambda _: None,
             ResetFault: lambda _: None,
             ReadActiveBank: lambda _: self.active,
-            ReadTable: lambda step: TABLE if step.bank else None,
+            ReadTable: lambda step: self.tables.get(step.bank),
             ActivateBank: self._activate,
             AwaitActive: lambda _: None,
             Record: lambda _: None,
@@ -116,6 +117,7 @@ class FakeJournal:
         self.decisions: list[str] = []
         self.faults: list[str] = []
         self.tables: list[tuple[str, int]] = []
+        self.images: list[TableImage | None] = []
 
     def _write(self) -> None:
         if self.full:
@@ -145,9 +147,10 @@ class FakeJournal:
         self._write()
         self.decisions.append(kind)
 
-    def table(self, role: str, bank: int, _: object) -> None:
+    def table(self, role: str, bank: int, image: TableImage | None) -> None:
         self._write()
         self.tables.append((role, bank))
+        self.images.append(image)
 
 
 class Run:
@@ -357,7 +360,7 @@ def test_a_restored_bank_is_awaited_until_the_controller_activates_it(
 ) -> None:
     _, machine, _ = ended(raising(MotionFault("limit"), written_before=True), FakeMachine(activation))
     first = machine.steps.index("restore/activate")
-    expected = ["restore/activate", *between, "restore/active-bank", "restore/activated"]
+    expected = ["restore/activate", *between, "restore/active-bank", "restore/activated", "restore/active-table"]
     assert machine.steps[first:] == expected
 
 
@@ -560,3 +563,43 @@ def once(first: Callable[[], None], then: Callable[..., None]) -> Callable[..., 
             then(*args, **named)
 
     return act
+
+
+OTHER = TableImage((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1e-4, np.ones((2, 2, 2, 3), dtype=np.int32))
+
+
+@pytest.mark.parametrize("held", [OTHER, None])
+@pytest.mark.parametrize("full", [False, True])
+def test_a_former_bank_that_was_written_during_the_run_is_told_and_not_called_restored(
+    held: TableImage | None, full: bool
+) -> None:
+    machine, journal = FakeMachine(), FakeJournal()
+
+    def rest(_: Run) -> Plan[None]:
+        yield from written()
+        machine.tables = {NEW: TABLE} if held is None else {FOUND: held, NEW: TABLE}
+        journal.full = full
+        raise Aborted("aborted: panel")
+
+    run, _, _ = ended(rest, machine, journal)
+    assert machine.active == run.results.active_bank == FOUND
+    assert "bank 1 holds another table than before the run" in run.results.end_reason
+    if not full:
+        assert journal.states[-1] == (RunState.FAULTED, run.results.end_reason)
+        assert (journal.tables[-1], journal.images[-1]) == (("restored", FOUND), held)
+
+
+def test_a_former_bank_that_is_active_but_cannot_be_read_is_told() -> None:
+    machine, journal = FakeMachine(), FakeJournal()
+
+    def rest(_: Run) -> Plan[None]:
+        yield from written()
+        machine.failing[ReadTable] = DeviceError("no answer")
+        raise Aborted("aborted: panel")
+
+    run, _, _ = ended(rest, machine, journal)
+    assert machine.active == run.results.active_bank == FOUND
+    assert journal.tables == [("backup", FOUND)]
+    state, reason = journal.states[-1]
+    assert state is RunState.FAULTED
+    assert "bank 1 is active again, but its table could not be read: no answer" in reason

@@ -54,7 +54,7 @@ def test_the_ends_of_a_run_differ_in_what_is_written(walked: list[dict[str, str]
         for end in ("table written, accepted", "table written, former table restored", "table confirmed")
     )
     assert restored[: len(accepted)] == accepted
-    assert restored[len(accepted) :] == ["restore/activate", "restore/active-bank"]
+    assert restored[len(accepted) :] == ["restore/activate", "restore/active-bank", "restore/active-table"]
     assert kept == accepted[: len(kept)]
     assert accepted[len(kept)] == "publish/stage"
 
