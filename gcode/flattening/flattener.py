@@ -51,6 +51,7 @@ _STATE_CODES = frozenset(STATE_CODES)
 _MOST_CALLS = 100
 _MOST_EXECUTED = 2_000_000
 _MOST_EXECUTED_PER_LINE = 20
+_MOST_WITHOUT_BLOCK = 100_000
 _MOST_ARGUMENTS = len(LOCAL_NUMBERS)
 
 
@@ -99,6 +100,7 @@ class Flattener:
         self._known: dict[str, tuple[ControlFlow, int]] = {}
         self._lines = 0
         self._executed = 0
+        self._without_block = 0
         self._percent = False
 
     def blocks(self, lines: Iterable[str]) -> Iterator[PlainBlock]:
@@ -114,7 +116,9 @@ class Flattener:
                 # Line numbers continue, because `numbered` is the same iterator.
                 rest = [source, *(SourceLine(later, line.rstrip("\r\n")) for later, line in numbered)]
                 self._lines = rest[-1].number
-                yield from self._run(rest)
+                for block in self._run(rest):
+                    self._without_block = 0
+                    yield block
                 return
             else:
                 yield from self._simple(source, self._statement(source))
@@ -243,6 +247,10 @@ class Flattener:
     def _count(self, source: SourceLine) -> None:
         """Count a line that is executed, or a block of a canned cycle."""
         self._executed += 1
+        self._without_block += 1
+        if self._without_block > _MOST_WITHOUT_BLOCK:
+            message = f"{_MOST_WITHOUT_BLOCK} lines were executed one after the other without a block"
+            source.refuse(message, "A loop around this line may be endless")
         if self._executed > _MOST_EXECUTED + _MOST_EXECUTED_PER_LINE * self._lines:
             message = (
                 f"{self._executed - 1} lines and blocks of canned cycles were executed, the most for a program of"

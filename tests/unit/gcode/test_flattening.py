@@ -239,6 +239,14 @@ def test_what_cannot_be_executed_is_refused_with_its_line(
     assert "line" in error.value.where
 
 
+def test_a_loop_that_neither_moves_nor_ends_is_refused_soon() -> None:
+    with pytest.raises(FormatError, match="100000 lines were executed one after the other without a block") as error:
+        flat("#1 = 1\no1 while [#1 lt 30]\n#1 = #1\no1 endwhile")
+    assert "line" in error.value.where
+    longest = "#1 = 0\no1 while [#1 lt 30000]\n#1 = [#1 + 1]\no1 endwhile\nG1 X[#1 / 100]\n"
+    assert flat(longest * 2)[-1] == "G1 X300.000"
+
+
 @pytest.mark.parametrize("in_file", [False, True])
 def test_a_long_program_may_execute_more_than_a_short_one(in_file: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(flattener, "_MOST_EXECUTED", 50)
