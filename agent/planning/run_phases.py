@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from agent.probing.homing_touches import PREFIX as HOMING_PREFIX
 from agent.probing.preparation import PREFIX as PROBE_PREFIX
 
-PREFLIGHT = "preflight"
+PREFLIGHT, RETURN = "preflight", "return"
 PROBE_CHECK, QUALIFICATION, REVERSAL, HOMING = "probe-check", "qualification", "reversal", "homing"
 MEASURING, VERIFICATION = "measuring", "verification"
 MOVING_PHASES = (PROBE_CHECK, QUALIFICATION, REVERSAL, HOMING, MEASURING, VERIFICATION)

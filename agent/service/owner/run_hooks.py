@@ -50,7 +50,7 @@ class RunHooksFactory:
             attach=run.attach,
             observe=self._observe,
             preflight_passed=preflight_passed,
-            return_begins=parts.health.begin_return,
+            return_begins=self._begin_return,
             lock=parts.ownership.for_run,
             devices=parts.machine.devices_for_run(clock, self.questions, attended=attended),
             reports=no_report_yet,
@@ -64,6 +64,10 @@ class RunHooksFactory:
             elif state is RunState.RESUMING:  # a resumption that discards a position moves again after its first end
                 self.parts.health.begin_run()
         self.parts.board.on_announcement(announcement)
+
+    def _begin_return(self) -> None:
+        self.parts.health.begin_return()
+        self.parts.board.begin_return()
 
     def _observe(self, step: Step, result: object) -> None:
         self.parts.health.beat()

@@ -24,7 +24,7 @@ from agent.execution.steps import (
     TouchTowards,
 )
 from agent.notifications.dispatcher import ReceiverState
-from agent.planning.run_phases import HOMING, PREFLIGHT, PROBE_CHECK, QUALIFICATION, REVERSAL, VERIFICATION
+from agent.planning.run_phases import HOMING, PREFLIGHT, PROBE_CHECK, QUALIFICATION, RETURN, REVERSAL, VERIFICATION
 from agent.results.run_outcome import Outcome
 from agent.results.run_requester import BY, requester_of
 from agent.results.run_verdict import RunVerdict, verdict_of
@@ -66,8 +66,9 @@ _PHASES = {
     QUALIFICATION: "qualifying the stylus",
     REVERSAL: "measuring the lost motion at reversal",
     HOMING: "measuring the scatter of the homing",
+    RETURN: "returning to where the run was interrupted",
 }
-"""Words of the phases that are measured before the first position."""
+"""Words of the phases that are measured before the first position, and of the return of a resumed run."""
 _NO_PHASE = {"phase": "", "phase_fraction": None, "phase_minutes_left": None}
 _PROGRESS = ("fraction", "minutes_left", "phase", "phase_fraction", "phase_minutes_left", "simulated_steps")
 _UNEXPECTED = (CompensationState.CHANGED, CompensationState.LOST, CompensationState.UNPROVED)
@@ -299,6 +300,10 @@ class StatusBoard:
                 log.info(announcement.text, **data)
         self.event_log.publish(announcement.kind, announcement.text, data)
 
+    def begin_return(self) -> None:
+        """Show that the machine of a resumed run returns to where the run was interrupted, before the run goes on."""
+        self._change(**{**_NO_PHASE, "phase": RETURN})
+
     def on_step(self, step: Step, result: object) -> None:
         """Update the status after a step. The engine, which carries out the steps, calls this method at every step, so
         it must take only microseconds."""
@@ -416,14 +421,14 @@ def _phase_in(state: RunState, former: Status) -> dict[str, Any]:
     if state is S.VERIFYING and former.phase != VERIFICATION:
         return {"phase": VERIFICATION, "phase_fraction": 0.0, "phase_minutes_left": None}
     if state in _MOVING:
-        return {}
+        return _NO_PHASE if former.phase == RETURN else {}
     return {**_NO_PHASE, "phase": state.value}
 
 
 def doing(state: RunState, step: str, kind: str | None, phase: str = "") -> str:
     """Return the current activity of the service as one line of text. During a measurement the line includes the
     station, the orientation and the ball, and during the checks before the first position it names the check."""
-    words = _PHASES.get(phase, _STATES[state]) if state is S.MEASURING else _STATES[state]
+    words = _PHASES.get(phase, _STATES[state]) if state in (S.MEASURING, S.RESUMING) else _STATES[state]
     place = _place(step) if state in _MOVING else ""
     if state is S.MEASURING and not place and kind is not None:
         return f"{words}: preparing"

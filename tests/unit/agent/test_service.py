@@ -249,14 +249,18 @@ def test_a_resumed_run_is_given_minutes_until_its_machine_moves(tmp_path: Path) 
         hooks = factory.hooks(RunMailbox("a", health.beat), built.owner.settings.clock, attended=True)
         for _ in range(2):  # the resumption, and a further one after a position was discarded
             hooks.announce(Announcement("state", "resuming", {"state": "resuming"}))
+            assert parts.board.status().doing.endswith("nothing moves")
             clock.sleep(900.0)
             assert health.alive(RunState.RESUMING)
             clock.sleep(1.0)
             assert not health.alive(RunState.RESUMING)
             hooks.return_begins()
+            assert parts.board.status().doing == "returning to where the run was interrupted"
             assert health.alive(RunState.RESUMING)
             clock.sleep(31.0)
             assert not health.alive(RunState.RESUMING)
+        hooks.announce(Announcement("state", "measuring", {"state": "measuring"}))
+        assert parts.board.status().doing == "measuring"
         assert health.alive(RunState.IDENTIFYING)
 
 
