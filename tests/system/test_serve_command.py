@@ -370,7 +370,7 @@ def test_strangers_are_kept_out(served: Service) -> None:
         strange = client.post("/api/abort", headers={"Origin": "http://evil.example"})
         assert strange.status_code == 403
         assert client.post("/api/abort", headers={"Origin": served.url}).status_code == 200
-        large = client.post("/api/abort", content=b"x" * 100_000)
+        large = client.post("/api/hold", content=b"x" * 100_000)
         assert large.status_code == 413
         assert client.get("/api/runs/../../etc/passwd").status_code == 404
     malformed = raw(
