@@ -15,7 +15,7 @@ from agent.reports.page.data import ReportedEstimate
 from agent.reports.page.error_curves import SQUARENESSES, ErrorCurve, geometric_error_curves
 from agent.reports.run_report import report_of
 from agent.results.decision_kinds import OUTCOME
-from agent.results.run_verdict import RunFigures, RunVerdict, run_figures, verdict_of
+from agent.results.run_verdict import RunFigures, RunVerdict, run_figures
 from agent.results.table_difference import TableDifference, table_difference
 from drivers.errors import InputError
 from drivers.roles import TableImage
@@ -182,13 +182,7 @@ def compared_run(directory: Path, run_id: str) -> ComparedRun:
     """Return what is compared of a run. Raise InputError if the journal does not have the run."""
     record = read_record(directory, run_id)
     figures = run_figures(record.state, record.decision)
-    verdict = verdict_of(
-        record.kind,
-        record.state,
-        ended=record.ended is not None,
-        accepted=figures.accepted,
-        decision=figures.decision,
-    )
+    verdict = figures.verdict(record.kind, record.state, ended=record.ended is not None)
     found = None if record.estimate is None else report_of(record)
     identified = None if found is None else found.identification
     role, table = _written_table(directory, run_id)

@@ -47,7 +47,7 @@ from agent.results.gates.gate import Gate
 from agent.results.homing_scatter import HomingScatter, after_homing_text
 from agent.results.run_outcome import Decision
 from agent.results.run_requester import BY, requester_of
-from agent.results.run_verdict import RunVerdict, run_figures, verdict_of
+from agent.results.run_verdict import RunVerdict, run_figures
 from agent.results.travel_parts import TravelParts
 from agent.settings.report import ReportSettings
 from agent.settings.schema import TableSettings
@@ -134,13 +134,7 @@ def _header(record: RunRecord, found: IdentificationData | None) -> Header:
 
 def _verdict(record: RunRecord) -> RunVerdict:
     figures = run_figures(record.state, record.decision)
-    return verdict_of(
-        record.kind,
-        record.state,
-        ended=record.ended is not None,
-        accepted=figures.accepted,
-        decision=figures.decision,
-    )
+    return figures.verdict(record.kind, record.state, ended=record.ended is not None)
 
 
 def _found(record: RunRecord) -> IdentificationData | None:

@@ -269,6 +269,10 @@ class RunFigures:
     accepted: bool | None
     decision: str | None
 
+    def verdict(self, kind: str, state: str, *, ended: bool, running: bool = False) -> RunVerdict:
+        """Return the verdict on the run of these figures; the parameters are those of `verdict_of`."""
+        return verdict_of(kind, state, ended=ended, accepted=self.accepted, decision=self.decision, running=running)
+
 
 def run_figures(state: str, decision: Callable[[str], Mapping[str, Any] | None]) -> RunFigures:
     """Return the figures of a run whose last state is `state` (the text of a `RunState`). `decision` returns the

@@ -13,7 +13,7 @@ from agent.execution.journal_reader import JournalReader, has_journal, open_jour
 from agent.execution.stored_json import stored_json
 from agent.probing.preparation import PREFIX
 from agent.results.decision_kinds import PROBE
-from agent.results.run_verdict import Look, RunVerdict, run_figures, verdict_of
+from agent.results.run_verdict import Look, RunVerdict, run_figures
 
 CHECKS: Final = f"{PREFIX}/station-"
 """Beginning of the keys of the steps that check the probe; a run without checks may park the mounts before."""
@@ -63,7 +63,7 @@ def _latest_results(reader: JournalReader) -> Iterator[CalibrationResult]:
         figures = run_figures(run.state, reader.decision_records(run.run))
         if run.ended is None or (figures.ve_um is None and figures.vce_um is None):
             continue
-        verdict = verdict_of(run.kind, run.state, ended=True, accepted=figures.accepted, decision=figures.decision)
+        verdict = figures.verdict(run.kind, run.state, ended=True)
         settings = stored_json(reader.settings_text(run.run))
         ended = datetime.fromisoformat(run.ended)
         yield CalibrationResult(

@@ -15,7 +15,7 @@ from agent.execution.journal_rows import RunCounts, RunRow, TableRow
 from agent.execution.stored_gates import gate_records
 from agent.execution.stored_json import stored_json
 from agent.results.decision_kinds import OUTCOME
-from agent.results.run_verdict import run_figures, verdict_of
+from agent.results.run_verdict import run_figures
 from drivers.errors import InputError
 
 Document = dict[str, Any]
@@ -131,14 +131,7 @@ class Archive:
         decision = reader.decision_records(run.run)
         figures = run_figures(run.state, decision)
         running = run.ended is None and run.run_id == self.running()
-        verdict = verdict_of(
-            run.kind,
-            run.state,
-            ended=run.ended is not None,
-            accepted=figures.accepted,
-            decision=figures.decision,
-            running=running,
-        )
+        verdict = figures.verdict(run.kind, run.state, ended=run.ended is not None, running=running)
         outcome = decision(OUTCOME) or {}
         return {
             "run_id": run.run_id,

@@ -17,7 +17,7 @@ from agent.execution.journal_rows import RunRow
 from agent.execution.states import FINAL, RunState
 from agent.planning.job_preparation import prepare_job
 from agent.results.run_requester import named
-from agent.results.run_verdict import UNFINISHED, RunVerdict, run_figures, verdict_of
+from agent.results.run_verdict import UNFINISHED, RunVerdict, run_figures
 from agent.runs.reconcile import unproved_table
 from agent.runs.reference_state import ACTIVATING_DECISIONS, reference_for
 from agent.runs.unfinished_run import unfinished_run
@@ -189,7 +189,7 @@ def _journaled_code(reader: JournalReader, run: RunRow) -> AlarmCode:
 
 def _verdict(reader: JournalReader, run: RunRow) -> RunVerdict:
     figures = run_figures(run.state, reader.decision_records(run.run))
-    return verdict_of(run.kind, run.state, ended=True, accepted=figures.accepted, decision=figures.decision)
+    return figures.verdict(run.kind, run.state, ended=True)
 
 
 def _volumetric_errors(settings: Settings, base: Path) -> tuple[float | None, float | None]:
