@@ -33,6 +33,8 @@ from drivers.errors import ConfigurationError, VolcalError
 P = ParamSpec("P")
 R = TypeVar("R")
 
+ABORT = "abort"
+
 
 def fail(error: VolcalError) -> SystemExit:
     """Print `error` on stderr and return a SystemExit exception with the exit code that belongs to the class of
@@ -85,7 +87,8 @@ def _naming_simulator(error: VolcalError) -> VolcalError:
 class VolcalGroup(click.Group):
     """Group of commands that prints an error without a traceback and exits with the exit code of the error's class.
 
-    If the name of a command is mistyped, the group suggests the most similar name.
+    If the name of a command is mistyped, the group suggests the most similar name. Arguments that are no text are
+    refused, except those of an abort, which is sent whatever its reason.
     """
 
     def main(self, args: Sequence[str] | None = None, *rest: Any, **named: Any) -> Any:
@@ -100,6 +103,8 @@ class VolcalGroup(click.Group):
             near = get_close_matches(name, known, n=1, cutoff=0.5)
             suggestion = f" Did you mean {near[0]!r}?" if near else ""
             ctx.fail(f"No such command {name!r}.{suggestion}")
+        if name != ABORT:
+            _require_text(ctx, args)
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
@@ -112,3 +117,13 @@ class VolcalGroup(click.Group):
         except BrokenPipeError:
             sys.stderr.close()  # the reader is gone: silence the message of the interpreter too
             raise SystemExit(1) from None
+
+
+def _require_text(ctx: click.Context, arguments: Sequence[str]) -> None:
+    """Refuse arguments with bytes that are not text in the encoding of this terminal. They could be neither stored nor
+    sent: Python keeps such bytes as lone surrogates, which no encoding knows."""
+    for argument in arguments:
+        try:
+            argument.encode()
+        except UnicodeEncodeError:
+            ctx.fail(f"The argument {printable(argument)!r} is no text in UTF-8; write it, or name the file, in UTF-8.")

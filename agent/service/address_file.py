@@ -15,9 +15,12 @@ import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, BinaryIO, Final
+from urllib.parse import quote
 
 ADDRESS_FILE: Final = "service.json"
 MAX_BYTES: Final = 4096
+MACHINE_HEADER: Final = "Volcal-Machine"
+"""Header with which a command says which machine it means (`machine_header`)."""
 _FLOCK: Final = struct.Struct("hhqqi4x")
 """`struct flock` of fcntl(2): type, whence, start, length, process."""
 
@@ -46,6 +49,11 @@ def write_address(directory: Path, url: str) -> Callable[[], None]:
         file.close()
 
     return remove
+
+
+def machine_header(machine: Path) -> str:
+    """Return the value of the header `MACHINE_HEADER` for the machine of the file `machine`, an absolute path."""
+    return quote(os.fsencode(machine))
 
 
 def read_address(directory: Path) -> str:

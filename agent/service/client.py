@@ -14,7 +14,7 @@ import httpx
 
 from agent import errors as run_errors
 from agent.printable import printable
-from agent.service.address_file import ADDRESS_FILE, read_address
+from agent.service.address_file import ADDRESS_FILE, MACHINE_HEADER, machine_header, read_address
 from agent.service.token import read_token, token_path
 from agent.settings.schema import Settings
 from drivers import errors
@@ -146,7 +146,8 @@ def _connect(settings: Settings) -> httpx.Client:
             file=str(settings.state_directory / ADDRESS_FILE),
         ) from error
     verify = _ssl_context(settings.service.certificate_file)
-    return httpx.Client(base_url=url, verify=verify, timeout=ANSWER_TIMEOUT_S, trust_env=False)
+    headers = {MACHINE_HEADER: machine_header(settings.machine)}
+    return httpx.Client(base_url=url, headers=headers, verify=verify, timeout=ANSWER_TIMEOUT_S, trust_env=False)
 
 
 def _ssl_context(certificate: Path | None) -> ssl.SSLContext | bool:

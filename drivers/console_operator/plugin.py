@@ -1,11 +1,13 @@
 """Driver plugin `console-operator`, which asks an operator in a terminal.
 
 Questions to the operator are written to stderr and answers are read from stdin, so stdout remains free for results.
+What was typed before a question was shown is discarded: it is not the answer to it.
 """
 
 from __future__ import annotations
 
 import sys
+import termios
 from typing import TextIO
 
 from pydantic import Field
@@ -74,9 +76,16 @@ class ConsoleOperator:
         return False
 
     def _answer(self, request: OperatorRequest, question: str) -> str:
-        self._sink.write(question)
-        self._sink.flush()
-        line = self._source.readline()
+        """Return what the operator types after the question was shown; an empty text if it is not text at all."""
+        try:
+            termios.tcflush(self._source, termios.TCIFLUSH)
+            self._sink.write(question)
+            self._sink.flush()
+            line = self._source.readline()
+        except UnicodeDecodeError:
+            return ""
+        except (OSError, termios.error) as error:
+            raise self._unreachable(request, "the terminal was closed") from error
         if not line:
             raise self._unreachable(request, "the terminal was closed")
         return line.strip().lower()

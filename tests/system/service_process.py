@@ -113,8 +113,8 @@ class Service:
     def log(self) -> list[dict[str, Any]]:
         return [json.loads(line) for line in (self.directory / "log").read_text().splitlines() if line]
 
-    def command(self, *arguments: str) -> subprocess.CompletedProcess[str]:
-        command = [*COMMAND, *arguments, "--config", str(self.config)]
+    def command(self, *arguments: str, config: Path | None = None) -> subprocess.CompletedProcess[str]:
+        command = [*COMMAND, *arguments, "--config", str(config or self.config)]
         return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
 
     def end(self, number: int = signal.SIGTERM) -> int:

@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import socket
+import tomllib
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -320,6 +321,21 @@ def test_two_services_never_own_one_machine(served: Service) -> None:
     second = served.command("serve")
     assert second.returncode == 4
     assert "the service (process" in second.stderr
+
+
+def test_a_command_for_another_machine_with_the_same_state_directory_is_refused(served: Service) -> None:
+    settings = tomllib.loads(served.config.read_text())
+    own = Path(settings["machine"])
+    other = served.directory / "other-machine.toml"
+    other.write_text(own.read_text())
+    config = served.directory / "other.toml"
+    config.write_text(served.config.read_text().replace(settings["machine"], str(other)))
+    for command in (["start", "--kind", "calibrate", "--consent"], ["resume"], ["status"], ["reset"]):
+        refused = served.command(*command, config=config)
+        assert refused.returncode == 2, refused.stdout
+        assert f"not for that in {other}" in refused.stderr
+    assert served.command("abort", config=config).returncode == 0
+    assert served.status()["state"] not in ("preflight", "measuring")
 
 
 def test_a_question_waits_for_an_answer_of_any_door(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from agent.execution.states import RunState
 from agent.service.access.access import Access
 from agent.service.access.paired_clients import PairedClients
 from agent.service.access.pairing_codes import MAX_TRIES_PER_MINUTE, PairingCodes
+from agent.service.address_file import MACHINE_HEADER, machine_header
 from agent.service.http.app import create_app
 from agent.service.http.app_state import AppState
 from agent.service.http.description import openapi_document
@@ -94,6 +95,22 @@ def test_the_table_of_requests_is_complete() -> None:
         if operation.get("security")
     }
     assert guarded == set(LEAST)
+
+
+def test_a_client_that_means_another_machine_can_only_stop_this_one(house: House, tmp_path: Path) -> None:
+    other, own = tmp_path / "täble.toml", read_settings(CASE_STUDY).machine
+    for (method, path), (_, body) in (LEAST | {("GET", "/api/status"): ("nobody", None)}).items():
+        house.control.begin_anew()
+        with house.client("machine") as client:
+            refused = client.request(method, path, json=body, headers={MACHINE_HEADER: machine_header(other)})
+            assert (refused.status_code == 409) is (path != "/api/hold"), path
+            if path != "/api/hold":
+                assert f"works for the machine in {own}, not for that in {other}" in refused.json()["detail"]
+                assert refused.json()["title"] == "ConfigurationError"
+            meant = client.request(method, path, json=body, headers={MACHINE_HEADER: machine_header(own)})
+            assert "works for the machine in" not in meant.text
+    with house.client(None) as client:
+        assert client.post("/api/abort", headers={MACHINE_HEADER: machine_header(other)}).status_code == 200
 
 
 def test_each_request_with_each_token(house: House) -> None:

@@ -6,11 +6,12 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from importlib.metadata import version
 
-from fastapi import FastAPI
+from fastapi import Depends, FastAPI
 
 from agent.service.http import commands, diagnostics, events, history, pairing, problems, queries
 from agent.service.http.app_state import AppState
 from agent.service.http.guard import Guard
+from agent.service.http.permission import of_this_machine
 
 Extension = Callable[[FastAPI, AppState], None]
 """Function that adds routers or mounts static files behind the same guard."""
@@ -37,6 +38,7 @@ def create_app(app_state: AppState, names: Collection[str] = (), extensions: Seq
 
 
 def add_endpoints(app: FastAPI) -> None:
-    routers = (queries.router, history.router, events.router, commands.without_token, commands.with_token)
-    for router in (*routers, diagnostics.router, pairing.without_token, pairing.with_token, pairing.of_machine):
-        app.include_router(router)
+    app.include_router(commands.stopping)
+    routers = (queries.router, history.router, events.router, commands.with_token, diagnostics.router)
+    for router in (*routers, pairing.without_token, pairing.with_token, pairing.of_machine):
+        app.include_router(router, dependencies=[Depends(of_this_machine)])

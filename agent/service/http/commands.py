@@ -31,7 +31,8 @@ from agent.service.http.problems import DOCUMENTED
 from agent.settings.schema import parse_settings
 from drivers.errors import ConfigurationError
 
-without_token = APIRouter(prefix="/api", tags=["asking"], responses=DOCUMENTED)
+stopping = APIRouter(prefix="/api", tags=["asking"], responses=DOCUMENTED)
+"""Requests that stop the machine. They are carried out even if the client means another machine."""
 with_token = APIRouter(prefix="/api", tags=["asking"], responses=DOCUMENTED)
 
 
@@ -39,7 +40,7 @@ _ABORT_BODY = {"requestBody": {"content": {"application/json": {"schema": AbortB
 
 
 # FastAPI refuses a request whose body it cannot read. An abort is read here, and its body only documented.
-@without_token.post("/abort", openapi_extra=_ABORT_BODY)
+@stopping.post("/abort", openapi_extra=_ABORT_BODY)
 async def abort(
     app_state: AppStateDependency, name: Annotated[str, Depends(known_name)], request: Request
 ) -> RequestAccepted:
@@ -80,7 +81,7 @@ def resume_run(
     return RunStarted(run_id=app_state.control.resume_run((body or ResumeRunBody()).source, who.name))
 
 
-@with_token.post("/hold")
+@stopping.post("/hold")
 def hold(app_state: AppStateDependency, who: Annotated[Requester, permitted(HOLD)]) -> RequestAccepted:
     """Hold the run in progress: its motion stops, and the run can be resumed."""
     app_state.control.hold(who.name)

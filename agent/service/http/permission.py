@@ -6,13 +6,17 @@ from __future__ import annotations
 import secrets
 from http import HTTPStatus
 from typing import Annotated, Any
+from urllib.parse import unquote
 
 from fastapi import Depends, Request
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
+from agent.printable import printable
 from agent.service.access.roles import LEAST_ROLE, Requester
+from agent.service.address_file import MACHINE_HEADER, machine_header
 from agent.service.http.app_state import AppStateDependency
 from agent.service.http.problems import RequestRefused
+from drivers.errors import ConfigurationError
 
 ROLE_REFUSED = "RoleRefused"
 """Title of the problem document if the token is valid and its role does not permit the request."""
@@ -58,6 +62,19 @@ async def machine_token(client: AnyRequester) -> Requester:
     if not client.has_machine_token:
         raise _refused(client, "this request needs the token of the machine")
     return client
+
+
+async def of_this_machine(app_state: AppStateDependency, request: Request) -> None:
+    """Refuse a request whose header says that the client means another machine. Settings of two machines that share a
+    state directory find the same service."""
+    meant, own = request.headers.get(MACHINE_HEADER), app_state.settings().machine
+    if meant is not None and meant != machine_header(own):
+        raise RequestRefused(
+            HTTPStatus.CONFLICT,
+            f"the service works for the machine in {own}, not for that in {printable(unquote(meant))}",
+            "use one state directory for each machine; if the settings of the service were changed, reload it",
+            title=ConfigurationError.__name__,
+        )
 
 
 async def known_name(app_state: AppStateDependency, request: Request) -> str:

@@ -233,6 +233,16 @@ def test_a_mistyped_command_or_option_is_answered_with_the_nearest(words: list[s
 
 
 @pytest.mark.parametrize(
+    "words",
+    [["pair", "--name", "Werk\udce4"], ["plan", "--config", "\udcff.toml"], ["history", "list", "--machine", "\udc80"]],
+)
+def test_arguments_that_are_no_text_are_refused(words: list[str]) -> None:
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 2
+    assert "is no text in UTF-8" in done.output
+
+
+@pytest.mark.parametrize(
     "module",
     ["agent.cli.service_commands.requests", "agent.cli.service_commands.start", "agent.cli.service_commands.status"],
 )
