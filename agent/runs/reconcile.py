@@ -58,6 +58,12 @@ class LastCompensation:
     def expected(self) -> RecordedBank:
         return self.staged if self.staged is not None and self.accepted else self.former
 
+    @property
+    def restore_command(self) -> str:
+        """Command that writes the expected table again, in quotes."""
+        role = "" if self.expected is self.former else " --role staged"
+        return f"`volcal table restore {self.run_id}{role}`"
+
 
 REST_WITHIN_S, REST_POLL_S = 10.0, 0.1
 """Longest wait for the end of a motion that was left to the controller, and interval of looking, in s."""
@@ -80,7 +86,7 @@ def reconcile(rig: Rig, state_directory: Path, *, of_run: int | None = None, res
     if waiting is not None:
         return _waiting(rig, last, active, waiting, unfinished)
     state = _state(last, _active_bank(rig, active))
-    kept = state is CompensationState.LOST and _active_bank(rig, last.expected.number) == last.expected
+    kept = _active_bank(rig, last.expected.number) == last.expected
     if state is CompensationState.UNPROVED and restore:
         return _restored(rig, state_directory, last, active, unfinished)
     unrepaired = state in (CompensationState.UNPROVED, CompensationState.CHANGED, CompensationState.LOST)
@@ -134,16 +140,22 @@ def _instruction(state: CompensationState, last: LastCompensation, active: int, 
         cause = f"bank 0 is active instead of bank {number}, as after a power loss or a new start of the controller"
         if kept:
             return f"{cause}; bank {number} still holds its table: activate it at the controller, or calibrate again"
-        return f"{cause}, and bank {number} no longer holds its table: restore it (`volcal table restore`)"
+        return f"{cause}, and bank {number} no longer holds its table: restore it ({last.restore_command})"
     if state is not CompensationState.CHANGED:
         return ""
     if last.unproved and last.staged is not None:
         left = UnprovedTable(last.run_id, last.staged.number, last.former.number, provable=False)
+        action = left.at_the_controller if kept else f"write the former table again ({last.restore_command})"
         return (
             f"run {last.run_id} ended with a table that was never proved, and neither this table nor the former one is "
-            f"active: find out who activated bank {active}, or {left.at_the_controller}"
+            f"active: find out who activated bank {active}, or {action}"
         )
     number = last.expected.number
+    if not kept:
+        return (
+            f"run {last.run_id} left bank {number} active, which holds another table now: find out who wrote it, then "
+            f"restore the table ({last.restore_command}) or calibrate again"
+        )
     return (
         f"run {last.run_id} left bank {number} active: find out who changed it, then activate bank {number} at the "
         "controller or calibrate again"

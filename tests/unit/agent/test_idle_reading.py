@@ -484,13 +484,17 @@ def table(value: int) -> TableImage:
     return TableImage((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1e-4, np.full((2, 2, 2, 3), value, dtype=np.int32))
 
 
+RESTORE = "`volcal table restore 20261101T020000Z-0000 --role staged`"
+
+
 @pytest.mark.parametrize(
     ("store", "state", "words"),
     [
         (Store(1, bank1=table(1)), CompensationState.AS_EXPECTED, ""),
         (Store(0, bank1=table(1)), CompensationState.LOST, "bank 1 still holds its table"),
-        (Store(0), CompensationState.LOST, "bank 1 no longer holds its table"),
-        (Store(1, bank1=table(2)), CompensationState.CHANGED, "find out who changed it"),
+        (Store(0), CompensationState.LOST, f"bank 1 no longer holds its table: restore it ({RESTORE})"),
+        (Store(1, bank1=table(2)), CompensationState.CHANGED, f"restore the table ({RESTORE}) or calibrate again"),
+        (Store(2, bank2=table(3)), CompensationState.CHANGED, f"restore the table ({RESTORE}) or calibrate again"),
         (Store(2, bank1=table(1), bank2=table(3)), CompensationState.CHANGED, "find out who changed it"),
     ],
 )

@@ -182,6 +182,30 @@ def test_the_package_stays_while_a_run_of_the_command_line_holds_the_machine(rem
     assert not removal.removed.exists()
 
 
+@pytest.mark.parametrize("active", [False, True])
+def test_the_package_stays_while_a_command_holds_a_machine_elsewhere(
+    removal: Removal, tmp_path: Path, active: bool
+) -> None:
+    python = tmp_path / "volcal" / "bin" / "python3"
+    python.parent.mkdir()
+    python.symlink_to(sys.executable)
+    elsewhere = tmp_path / "state of machine 2" / "run.lock"
+    elsewhere.parent.mkdir()
+    holder = (
+        "import fcntl, sys\nlock = open(sys.argv[1], 'w')\nfcntl.flock(lock, fcntl.LOCK_EX)\n"
+        "print('run of machine 2', file=lock, flush=True)\nprint('held', flush=True)\nsys.stdin.read()"
+    )
+    command = [str(python), "-c", holder, str(elsewhere)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as run:
+        assert run.stdout is not None
+        assert run.stdout.readline() == "held\n"
+        refused = removal.run("remove", active=active)
+        assert (refused.returncode, "owned by run of machine 2" in refused.stderr) == (1, True)
+        assert not removal.stopped.exists()
+        run.kill()
+    assert removal.run("remove", active=active).returncode == 0
+
+
 @pytest.mark.parametrize("action", ["upgrade", "remove"])
 def test_a_machine_that_never_ran_is_no_reason_to_keep_the_package(removal: Removal, action: str) -> None:
     assert removal.run(action, active=False).returncode == 0
