@@ -74,7 +74,14 @@ def _naming_simulator(error: VolcalError) -> VolcalError:
     from agent.settings.load import read_settings  # noqa: PLC0415  the help text needs neither
     from agent.settings.simulator_command import command_of_settings  # noqa: PLC0415
 
-    command = command_of_settings(read_settings(config), config)
+    settings = read_settings(config)
+    if f"{settings.clock.host}:{settings.clock.port}" not in error.message:
+        return ConfigurationError(
+            "the simulated machine of this run has ended with the command that started it",
+            hint="start a new run; one with `volcal simulate` in another terminal can be resumed",
+            file=str(config),
+        )
+    command = command_of_settings(settings, config)
     start = "`volcal simulate --clock lockstep` with its scenario" if command is None else f"`{command}`"
     return ConfigurationError(
         f"the simulated machine of {'this directory' if config.resolve().parent == Path.cwd() else 'these settings'} "

@@ -15,6 +15,8 @@ from journal_surgery import is_intact
 from simulated import COMMAND, PATIENCE_S, balls_in, configured, simulated, wait_until
 from stored_run import stored_run
 
+from agent.runs.unfinished_run import unfinished_run
+
 BALLS_BEFORE_THE_KILL = 5
 
 
@@ -59,8 +61,13 @@ def test_killed_simulator_is_a_fault_that_names_link_and_step(simulator, tmp_pat
     assert unfinished in complaint
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
-def test_a_run_whose_output_is_gone_is_left_safely(number: signal.Signals, simulator, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("number", "state_left", "reason", "resumable"),
+    [(signal.SIGINT, "aborted", "aborted: SIGINT", False), (signal.SIGHUP, "faulted", "interrupted: SIGHUP", True)],
+)
+def test_a_run_whose_output_is_gone_is_left_safely(
+    number: signal.Signals, state_left: str, reason: str, resumable: bool, simulator, tmp_path: Path
+) -> None:
     """As `volcal calibrate 2>&1 | tee log` that Ctrl-C ends, and a connection to the computer that breaks off."""
     _, ready = simulator
     config, state = configured(ready, tmp_path), tmp_path / "state"
@@ -78,7 +85,9 @@ def test_a_run_whose_output_is_gone_is_left_safely(number: signal.Signals, simul
     assert agent.returncode == 5
     assert is_intact(state)
     run = stored_run(state)
-    assert run.row.state == "aborted"
-    assert f"aborted: {number.name}" in (run.row.reason or "")
+    assert run.row.state == state_left
+    assert reason in (run.row.reason or "")
     assert run.row.ended is not None
+    unfinished = unfinished_run(state)
+    assert (unfinished is not None and unfinished.resumable) is resumable
     assert any(step.key == "recover/retreat" or step.key.startswith("recover/") for step in run.steps)

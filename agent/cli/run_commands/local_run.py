@@ -38,8 +38,8 @@ def run_here(request: RunRequest, settings: Settings, base: Path, *, nights: flo
     """Carry out the run that `request` asks for, in this process and with a progress bar on stderr. Return the result
     of the run. `base` is the directory to which relative paths in the settings refer.
 
-    Ctrl-C, SIGTERM and SIGHUP abort the run. `nights` is the number of nights since the last run whose result was
-    accepted as the reference for later runs. If `nights` is None, the number is computed from the calendar.
+    Ctrl-C aborts the run; SIGTERM and SIGHUP interrupt it. `nights` is the number of nights since the last run whose
+    result was accepted as the reference for later runs. If `nights` is None, the number is computed from the calendar.
     """
     job = job_of(request, settings, base)
     return carry_out_here(job, kind_of(request, slot_minutes=request.slot_minutes, nights=nights), base)
@@ -59,37 +59,43 @@ def calibrate_here(settings: Settings, base: Path, end: SequentialOptions) -> Ru
 
 def carry_out_here(job: Job, kind: Kind, base: Path) -> RunResult:
     """Carry out a run of a kind in this process and with a progress bar on stderr. Return the result of the run.
-    Ctrl-C, SIGTERM and SIGHUP (the terminal has hung up) abort the run."""
+    Ctrl-C aborts the run; SIGTERM and SIGHUP (the terminal has hung up) interrupt it."""
     with watching(Console(stderr=True)) as listener, interruptible() as signals:
         return carry_out(job, kind, base, RunHooks(announce=listener, attach=signals.attach))
 
 
 class StopSignals:
-    """Abort of a run by signals. The supervisor of the run, which receives requests to stop it, may be attached after
-    the signal has come: the run is then aborted at once."""
+    """End of a run by signals. Ctrl-C aborts it. Any other signal interrupts it, so that it can be resumed: the
+    computer shuts down or the terminal has hung up, and nobody may have wanted the end. The supervisor of the run,
+    which receives requests to stop it, may be attached after the signal has come: the run is then ended at once."""
 
     def __init__(self) -> None:
         self._supervisors: list[Supervisor] = []
-        self._received: str | None = None
+        self._received: signal.Signals | None = None
 
     def attach(self, supervisor: Supervisor) -> None:
-        """Abort the run of `supervisor` on the next signal, or at once if a signal has already come."""
+        """End the run of `supervisor` on the next signal, or at once if a signal has already come."""
         self._supervisors.append(supervisor)
         if self._received is not None:
-            supervisor.request_abort(self._received)
+            _end(supervisor, self._received)
 
     def receive(self, number: int, _: FrameType | None = None) -> None:
-        """Abort the runs of the attached supervisors because of the signal `number`."""
-        name = signal.Signals(number).name
-        self._received = self._received or name
+        """End the runs of the attached supervisors because of the signal `number`."""
+        received = signal.Signals(number)
+        self._received = self._received or received
         for supervisor in self._supervisors:
-            supervisor.request_abort(name)
+            _end(supervisor, received)
+
+
+def _end(supervisor: Supervisor, received: signal.Signals) -> None:
+    request = supervisor.request_abort if received is signal.SIGINT else supervisor.request_interruption
+    request(received.name)
 
 
 @contextmanager
 def interruptible() -> Iterator[StopSignals]:
-    """Yield the object to which the supervisor of a run can be attached. During the `with` block, Ctrl-C, SIGTERM and
-    SIGHUP abort this run.
+    """Yield the object to which the supervisor of a run can be attached. During the `with` block, Ctrl-C aborts
+    this run, and SIGTERM and SIGHUP interrupt it.
 
     SIGHUP stays ignored if the process was started so, as by `nohup`: its run must outlive the terminal.
     """

@@ -6,10 +6,16 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import click
 import pytest
+from click.testing import CliRunner
 from volcal_command import volcal
 
+from agent.cli.errors import reported
+from agent.cli.options import config_option
+from agent.execution.device_assembly import make_clock
 from agent.settings.load import read_settings
+from agent.settings.schema import ClockSettings
 from agent.settings.simulator_command import command_of_settings, simulate_command
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
@@ -58,6 +64,21 @@ def test_a_settings_file_elsewhere_is_not_this_directory(
     last = volcal("doctor", "--config", directory / "volcal.toml", exit_code=2).stderr.splitlines()[-1]
     assert "the simulated machine of these settings is not running" in last
     assert f"--config {directory}/simulator.toml" in last
+
+
+def test_the_simulator_of_an_earlier_run_is_not_to_be_started(directory: Path) -> None:
+    """A resumed run uses the settings with which it started, here those of a simulator of its own."""
+
+    @click.command()
+    @config_option
+    @reported
+    def resume(config: Path) -> None:
+        del config
+        make_clock(ClockSettings(kind="lockstep", host="127.0.0.1", port=2))
+
+    refused = CliRunner().invoke(resume, [])
+    assert refused.exit_code == 2
+    assert "the simulated machine of this run has ended" in refused.stderr
 
 
 @pytest.mark.parametrize("case", ["case-study", "mill", "hand-placed", "router", "bridge"])

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from agent.cli.run_commands.local_run import interruptible
-from agent.errors import Aborted, Interrupted
+from agent.errors import Aborted, Interrupted, RunError
 from agent.execution.supervisor import Supervisor
 from drivers.clock import INTERRUPT_SLICE_S, Deadline, InterruptibleClock, VirtualClock
 
@@ -103,9 +103,13 @@ def hang_up_means(handler: Any) -> Iterator[None]:
         signal.signal(signal.SIGHUP, former)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    ("number", "end"), [(signal.SIGINT, Aborted), (signal.SIGTERM, Interrupted), (signal.SIGHUP, Interrupted)]
+)
 @pytest.mark.parametrize("before", [False, True])
-def test_a_signal_aborts_the_run_also_if_it_comes_before_the_run(number: signal.Signals, before: bool) -> None:
+def test_a_signal_ends_the_run_also_if_it_comes_before_the_run(
+    number: signal.Signals, end: type[RunError], before: bool
+) -> None:
     supervisor, resumed = Supervisor(VirtualClock()), Supervisor(VirtualClock())
     with hang_up_means(lambda *_: None), interruptible() as signals:
         if before:
@@ -116,7 +120,7 @@ def test_a_signal_aborts_the_run_also_if_it_comes_before_the_run(number: signal.
         os.kill(os.getpid(), signal.SIGTERM)
         signals.attach(resumed)  # of the same run, which is resumed once more
     for one in (supervisor, resumed):
-        with pytest.raises(Aborted, match=f"aborted: {number.name}"):
+        with pytest.raises(end, match=f"ed: {number.name}"):
             one.check()
 
 
@@ -128,7 +132,7 @@ def test_after_the_run_a_signal_means_what_it_meant_before() -> None:
     assert [signal.getsignal(number) for number in numbers] == former
 
 
-def test_a_run_that_is_to_outlive_its_terminal_is_not_aborted_when_the_terminal_hangs_up() -> None:
+def test_a_run_that_is_to_outlive_its_terminal_is_not_ended_when_the_terminal_hangs_up() -> None:
     supervisor = Supervisor(VirtualClock())
     with hang_up_means(signal.SIG_IGN), interruptible() as signals:
         signals.attach(supervisor)
