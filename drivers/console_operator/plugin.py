@@ -1,17 +1,20 @@
 """Driver plugin `console-operator`, which asks an operator in a terminal.
 
 Questions to the operator are written to stderr and answers are read from stdin, so stdout remains free for results.
-What was typed before a question was shown is discarded: it is not the answer to it.
+What was typed before a question was shown is discarded: it is not the answer to it. While a question is open, the
+device waits with the clock of the run, so that the run can be held or ended.
 """
 
 from __future__ import annotations
 
+import select
 import sys
 import termios
 from typing import TextIO
 
 from pydantic import Field
 
+from drivers.clock import Clock
 from drivers.errors import PermissionMissing
 from drivers.options import DriverOptions
 from drivers.registry import DeviceContext, DriverPlugin
@@ -22,6 +25,9 @@ _CHOICES = {
     OperatorTask.PLACE_ARTEFACT: "[d]one / [n]o",
     OperatorTask.CONSENT: "[y]es / [n]o",
 }
+_POLL_S = 0.1
+"""Interval in s of looking for an answer, first on the wall clock and then on that of the run, which a simulator may
+advance as fast as it can."""
 _AGREES = {"d", "done", "y", "yes"}
 _DECLINES = {"n", "no"}
 
@@ -35,9 +41,12 @@ class ConsoleOperatorSettings(DriverOptions):
 class ConsoleOperator:
     """Operator at a terminal. If there is no terminal, `ask` raises an error immediately."""
 
-    def __init__(self, settings: ConsoleOperatorSettings, name: str, source: TextIO, sink: TextIO) -> None:
+    def __init__(
+        self, settings: ConsoleOperatorSettings, name: str, clock: Clock, source: TextIO, sink: TextIO
+    ) -> None:
         self._attempts = settings.attempts
         self._name = name
+        self._clock = clock
         self._source = source
         self._sink = sink
 
@@ -66,7 +75,8 @@ class ConsoleOperator:
         if not self._has_terminal:
             raise self._unreachable(request, "there is no terminal")
         place = f" (station {request.station})" if request.station is not None else ""
-        question = f"\n{request.text}{place} {_CHOICES[request.task]}: "
+        # A display of progress shows complete lines only, and takes brackets at the end for markup.
+        question = f"\n{request.text}{place}\n{_CHOICES[request.task]}:\n"
         for _ in range(self._attempts):
             answer = self._answer(request, question)
             if answer in _AGREES:
@@ -81,6 +91,8 @@ class ConsoleOperator:
             termios.tcflush(self._source, termios.TCIFLUSH)
             self._sink.write(question)
             self._sink.flush()
+            while not select.select([self._source], [], [], _POLL_S)[0]:
+                self._clock.sleep(_POLL_S)
             line = self._source.readline()
         except UnicodeDecodeError:
             return ""
@@ -105,7 +117,7 @@ class ConsoleOperator:
 
 
 def create(settings: ConsoleOperatorSettings, context: DeviceContext) -> ConsoleOperator:
-    return ConsoleOperator(settings, context.name, sys.stdin, sys.stderr)
+    return ConsoleOperator(settings, context.name, context.clock, sys.stdin, sys.stderr)
 
 
 PLUGIN = DriverPlugin("console-operator", ConsoleOperatorSettings, create)

@@ -5,14 +5,21 @@ from __future__ import annotations
 import io
 import os
 import pty
+import re
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
-from drivers.clock import VirtualClock
+from agent.cli.run_commands.progress import watching
+from agent.errors import Aborted
+from agent.execution.run_state import Announcement
+from agent.execution.supervisor import Supervisor
+from drivers.clock import Clock, InterruptibleClock, VirtualClock
 from drivers.console_operator.plugin import PLUGIN, ConsoleOperator, ConsoleOperatorSettings
 from drivers.errors import PermissionMissing
 from drivers.registry import DeviceContext
@@ -22,7 +29,12 @@ MOVE = OperatorRequest(OperatorTask.MOVE_ARTEFACT, "Move the artefact", station=
 CONSENT = OperatorRequest(OperatorTask.CONSENT, "Activate the new table?")
 
 
-class Screen(io.StringIO):
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+class Screen(Terminal):
     """Screen of a real terminal `keyboard`. The next of the `answers` is typed when a question has been shown; after
     the last one the terminal hangs up."""
 
@@ -30,9 +42,6 @@ class Screen(io.StringIO):
         super().__init__()
         self._keyboard: int | None = keyboard
         self._answers = answers
-
-    def isatty(self) -> bool:
-        return True
 
     def flush(self) -> None:
         if self._answers and self._keyboard is not None:
@@ -47,14 +56,17 @@ class Screen(io.StringIO):
 
 
 @contextmanager
-def operator(*answers: bytes, typed_ahead: bytes = b"") -> Iterator[tuple[ConsoleOperator, Screen]]:
+def operator(
+    *answers: bytes, typed_ahead: bytes = b"", clock: Clock | None = None
+) -> Iterator[tuple[ConsoleOperator, Screen]]:
     """Yield an operator who gives the `answers`, of which at least one is left at the end, and the operator's
     screen."""
     keyboard, follower = pty.openpty()
     with os.fdopen(follower, "r", encoding="utf-8") as source:
         screen = Screen(keyboard, [*answers])
         os.write(keyboard, typed_ahead)
-        yield ConsoleOperator(ConsoleOperatorSettings(attempts=2), "hand", source, screen), screen
+        device = ConsoleOperator(ConsoleOperatorSettings(attempts=2), "hand", clock or VirtualClock(), source, screen)
+        yield device, screen
         screen.hang_up()
 
 
@@ -74,7 +86,7 @@ def test_answers(answers: list[bytes], agrees: bool) -> None:
     with operator(*answers) as (device, screen):
         assert isinstance(device, Operator)
         assert device.ask(MOVE) is agrees
-        assert "Move the artefact (station 3) [d]one / [n]o: " in screen.getvalue()
+        assert "\nMove the artefact (station 3)\n[d]one / [n]o:\n" in screen.getvalue()
         assert [finding.ok for finding in device.diagnose()] == [True]
 
 
@@ -84,10 +96,34 @@ def test_what_was_typed_before_the_question_is_not_its_answer(ahead: bytes) -> N
         assert device.ask(CONSENT) is False
 
 
+def test_the_run_can_be_aborted_while_a_question_is_open() -> None:
+    clock = VirtualClock()
+    supervisor = Supervisor(clock)
+    clock.subscribe(lambda _: supervisor.request_abort("Ctrl-C"))
+    with (
+        operator(b"", clock=InterruptibleClock(clock, supervisor.check)) as (device, _),
+        pytest.raises(Aborted, match="Ctrl-C"),
+    ):
+        device.ask(MOVE)
+
+
+def test_a_question_can_be_read_beside_the_progress_of_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    keyboard, follower = pty.openpty()
+    clock, screen = VirtualClock(), Terminal()
+    clock.subscribe(lambda _: os.write(keyboard, b"d\n"))
+    monkeypatch.setattr("sys.stderr", screen)
+    with os.fdopen(follower, "r") as source, watching(Console(stderr=True, width=200)) as listener:
+        listener(Announcement("progress", "ball", {"fraction": 0.1, "minutes_left": 1.0}))
+        device = ConsoleOperator(ConsoleOperatorSettings(), "hand", clock, source, sys.stderr)
+        assert device.ask(OperatorRequest(OperatorTask.MOVE_ARTEFACT, "Move the artefact [bar 7]")) is True
+    os.close(keyboard)
+    assert "Move the artefact [bar 7]\n[d]one / [n]o:\n" in re.sub(r"\x1b\[[0-9;]*m", "", screen.getvalue())
+
+
 def test_unrecognised_answers_count_as_no() -> None:
     with operator(b"what\n", b"how\n", b"yes\n") as (device, screen):
         assert device.ask(CONSENT) is False
-        assert screen.getvalue().count("Activate the new table? [y]es / [n]o: ") == 2
+        assert screen.getvalue().count("Activate the new table?\n[y]es / [n]o:\n") == 2
 
 
 def test_a_closed_terminal_is_an_error() -> None:
@@ -99,7 +135,7 @@ def test_a_closed_terminal_is_an_error() -> None:
 
 
 def test_without_a_terminal_it_refuses() -> None:
-    device = ConsoleOperator(ConsoleOperatorSettings(), "hand", io.StringIO("done\n"), io.StringIO())
+    device = ConsoleOperator(ConsoleOperatorSettings(), "hand", VirtualClock(), io.StringIO("done\n"), io.StringIO())
     with pytest.raises(PermissionMissing, match="there is no terminal"):
         device.ask(MOVE)
     assert [finding.ok for finding in device.diagnose()] == [False]
