@@ -110,7 +110,11 @@ def test_the_run_can_be_aborted_while_a_question_is_open() -> None:
 def test_a_question_can_be_read_beside_the_progress_of_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
     keyboard, follower = pty.openpty()
     clock, screen = VirtualClock(), Terminal()
-    clock.subscribe(lambda _: os.write(keyboard, b"d\n"))
+
+    def answer(_: float) -> None:
+        os.write(keyboard, b"d\n")
+
+    clock.subscribe(answer)
     monkeypatch.setattr("sys.stderr", screen)
     with os.fdopen(follower, "r") as source, watching(Console(stderr=True, width=200)) as listener:
         listener(Announcement("progress", "ball", {"fraction": 0.1, "minutes_left": 1.0}))
