@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from agent.errors import GateRefused
@@ -27,6 +29,13 @@ def image_of(table: CompensationTable, limits: StoreLimits) -> TableImage:
     origin, step = zip(*((float(n[0]), float(n[1] - n[0])) for n in table.nodes), strict=True)
     counts = np.rint(table.corrections / limits.resolution_mm).astype(np.int32)
     return TableImage((origin[0], origin[1], origin[2]), (step[0], step[1], step[2]), limits.resolution_mm, counts)
+
+
+def stored_table(table: CompensationTable, limits: StoreLimits) -> CompensationTable:
+    """Return the compensation table `table` with the corrections that the controller applies if it stores the table:
+    whole multiples of its resolution."""
+    counts = np.rint(table.corrections / limits.resolution_mm)
+    return replace(table, corrections=counts * limits.resolution_mm)
 
 
 def table_of(image: TableImage, tool_offset_mm: Array) -> CompensationTable:

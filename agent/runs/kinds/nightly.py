@@ -419,7 +419,7 @@ def _power(
     gain = ExpectedGain(expected.ve_now_um or 0.0, expected.ve_after_um or 0.0)
     if not gain.reaches(running.job.settings.nightly.min_gain):
         return None
-    return power_of_proof(running.job, running.ready, estimation, measured)
+    return power_of_proof(running.job, running.ready, running.task.store, estimation, measured)
 
 
 def _with_power(report: NightReport, power: float | None) -> NightReport:

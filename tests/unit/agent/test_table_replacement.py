@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.planning.case_file import CASE_STUDY, load_case
-from agent.results.table_replacement import ExpectedGain, written_parameters
+from agent.planning.stand_ins import USUAL_STORE
+from agent.probing.measured_balls import no_correction
+from agent.results.estimation import table_grid
+from agent.results.table_image import stored_table
+from agent.results.table_replacement import ExpectedGain, expected_gain, written_parameters
+from agent.settings.schema import TableSettings
 from twin.arrays import Array
-from twin.machine.forward_model import deviation_basis
+from twin.compensation.table import build_table
+from twin.machine.forward_model import deviation_basis, exact_deviation
 from twin.machine.volumetric import evaluation_grid, volumetric_error
 
 errors = st.floats(0.01, 100.0)
@@ -25,6 +35,39 @@ def test_the_active_table_is_kept_unless_the_new_one_is_better_by_the_margin(
     assert gain.reaches(0.0) == (new <= kept)
     assert ExpectedGain(2.0 * kept, 2.0 * new).fraction == pytest.approx(gain.fraction)
     assert not ExpectedGain(kept, kept).reaches(max(margin, 1e-9))
+
+
+@pytest.mark.parametrize(
+    ("step_mm", "resolution_mm", "share_lost"),
+    [(None, 1e-4, (0.0, 0.05)), (None, 1e-2, (0.4, 1.0)), ((4000.0, 4000.0, 4000.0), 1e-4, (0.4, 1.0))],
+)
+def test_the_gain_of_a_table_is_that_of_the_table_which_the_controller_applies(
+    step_mm: tuple[float, float, float] | None, resolution_mm: float, share_lost: tuple[float, float]
+) -> None:
+    """Counts of 10 µm hold little of errors of some micrometres, and a table of two nodes an axis only its linear
+    part."""
+    job = load_case(CASE_STUDY)
+    model, offset = job.machine.model, job.tool_offset_mm
+    for seed in range(3):
+        parameters = np.random.default_rng(seed).normal(size=model.size) * job.machine.family.prior_standard_deviation
+        nodes, anchor = table_grid(model, TableSettings(step_mm=step_mm))
+        table = build_table(model, parameters, nodes, offset, anchor, np.zeros((1, 3)))
+        stored = stored_table(table, replace(USUAL_STORE, resolution_mm=resolution_mm))
+        estimate: Any = SimpleNamespace(model=model, parameters=parameters)
+        gain = expected_gain(estimate, 1.0, no_correction, stored.at, offset)
+        # the machine with this table at places that are no nodes, without volcal's sums
+        low, high = np.array(model.ranges_mm).T
+        places = np.random.default_rng(7).uniform(low, high, (4000, 3))
+        added = stored.at(places)
+        left = added + exact_deviation(model, places + added, offset, parameters)
+        arms = (places - places.mean(axis=0)) / 1000.0
+        rigid = np.concatenate([np.eye(3) * np.ones((4000, 1, 1)), np.cross(arms[:, None], np.eye(3))], axis=2)
+        rigid = rigid.reshape(-1, 6)
+        rest = left.reshape(-1) - rigid @ np.linalg.lstsq(rigid, left.reshape(-1))[0]
+        true_um = 1e3 * np.sqrt(3.0 * np.mean(rest**2))
+        assert gain.new_um == pytest.approx(np.hypot(1.0, true_um), rel=0.15)
+        bare_um = np.sqrt(gain.kept_um**2 - 1.0)
+        assert share_lost[0] <= true_um / bare_um <= share_lost[1]
 
 
 def test_written_parameters_are_those_of_the_table_whatever_rigid_motion_it_contains() -> None:
