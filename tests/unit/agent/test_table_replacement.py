@@ -11,11 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from agent.errors import GateRefused
 from agent.planning.case_file import CASE_STUDY, load_case
 from agent.planning.stand_ins import USUAL_STORE
 from agent.probing.measured_balls import no_correction
 from agent.results.estimation import table_grid
-from agent.results.table_image import stored_table
+from agent.results.table_image import image_of, stored_table
 from agent.results.table_replacement import ExpectedGain, expected_gain, written_parameters
 from agent.settings.schema import TableSettings
 from twin.arrays import Array
@@ -68,6 +69,27 @@ def test_the_gain_of_a_table_is_that_of_the_table_which_the_controller_applies(
         assert gain.new_um == pytest.approx(np.hypot(1.0, true_um), rel=0.15)
         bare_um = np.sqrt(gain.kept_um**2 - 1.0)
         assert share_lost[0] <= true_um / bare_um <= share_lost[1]
+
+
+def test_a_controller_that_corrects_each_axis_alone_gets_what_it_applies() -> None:
+    job = load_case(CASE_STUDY)
+    model, offset = job.machine.model, job.tool_offset_mm
+    parameters = np.random.default_rng(0).normal(size=model.size) * job.machine.family.prior_standard_deviation
+    nodes, anchor = table_grid(model, TableSettings())
+    table = build_table(model, parameters, nodes, offset, anchor, np.zeros((1, 3)))
+    limits = replace(USUAL_STORE, own_axis_loss_mm=0.1)
+    image, stored = image_of(table, limits), stored_table(table, limits)
+    np.testing.assert_array_equal(limits.resolution_mm * image.counts, stored.corrections)
+    for axis in range(3):
+        own = np.moveaxis(image.counts[..., axis], axis, 0).reshape(image.shape[axis], -1)
+        assert (own == own[:, :1]).all()
+        mean = np.moveaxis(table.corrections[..., axis], axis, 0).reshape(image.shape[axis], -1).mean(axis=1)
+        np.testing.assert_allclose(limits.resolution_mm * own[:, 0], mean, atol=0.51 * limits.resolution_mm)
+    estimate: Any = SimpleNamespace(model=model, parameters=parameters)
+    whole, part = (expected_gain(estimate, 1.0, no_correction, one.at, offset) for one in (table, stored))
+    assert part.fraction < 0.5 * whole.fraction  # straightness, squareness and rotation stay
+    with pytest.raises(GateRefused, match=r"of the table would be lost, 1\.0 µm are accepted"):
+        image_of(table, replace(limits, own_axis_loss_mm=1e-3))
 
 
 def test_written_parameters_are_those_of_the_table_whatever_rigid_motion_it_contains() -> None:
