@@ -141,7 +141,7 @@ def concluded(
     yield from note_measured(MEASURED, measured)
     yield Enter("state/identifying", RunState.IDENTIFYING)
     estimation = yield from estimated(
-        job, lambda: _estimate(ready, job, measured), lambda: balls_for_estimate(job, measured)
+        job, lambda: _estimate(task, ready, measured), lambda: balls_for_estimate(job, measured)
     )
     weighed = yield Conclude("identify/weighed", lambda: _weigh(task, ready, estimation, measured))
 
@@ -162,9 +162,11 @@ def concluded(
     )
 
 
-def _estimate(ready: PreparedRun, job: Job, measured: MeasuredPositions) -> EstimationResult:
+def _estimate(task: CalibrationTask, ready: PreparedRun, measured: MeasuredPositions) -> EstimationResult:
+    job = task.job
     with translated(MeasurementFault):
-        return estimate_from_balls(job, balls_for_estimate(job, measured), ready.correction)
+        found = estimate_from_balls(job, balls_for_estimate(job, measured), ready.correction)
+    return found.applied_as(stored_table(found.table, task.store), job.tool_offset_mm)
 
 
 def estimated(
@@ -187,8 +189,8 @@ def _weigh(
     and the proof can show the effect of the new one. On a machine that has changed it is never confirmed: the run is
     refused if the effect of a new one could not be shown."""
     job = task.job
-    unknown_um, stored = estimation.volumetric.after_aligned.value_um, stored_table(estimation.table, task.store)
-    gain = expected_gain(estimation.estimate, unknown_um, ready.correction, stored.at, job.tool_offset_mm)
+    stored = stored_table(estimation.table, task.store)
+    gain = expected_gain(estimation.estimate, estimation.unknown_um, ready.correction, stored.at, job.tool_offset_mm)
     gates = estimate_gates(estimation.estimate, job.gate_limits)
     if task.reference is not None:
         change = change_since(job, task.reference, task.nights, estimation.estimate)

@@ -15,7 +15,8 @@ from agent.errors import GateRefused
 from agent.planning.case_file import CASE_STUDY, load_case
 from agent.planning.stand_ins import USUAL_STORE
 from agent.probing.measured_balls import no_correction
-from agent.results.estimation import table_grid
+from agent.results.estimation import EstimationResult, table_grid
+from agent.results.facts import Quantity, VolumetricSummary
 from agent.results.table_image import image_of, stored_table
 from agent.results.table_replacement import ExpectedGain, expected_gain, written_parameters
 from agent.settings.schema import TableSettings
@@ -90,6 +91,29 @@ def test_a_controller_that_corrects_each_axis_alone_gets_what_it_applies() -> No
     assert part.fraction < 0.5 * whole.fraction  # straightness, squareness and rotation stay
     with pytest.raises(GateRefused, match=r"of the table would be lost, 1\.0 µm are accepted"):
         image_of(table, replace(limits, own_axis_loss_mm=1e-3))
+
+
+def test_the_predicted_error_contains_what_the_controller_does_not_apply() -> None:
+    job = load_case(CASE_STUDY)
+    model, offset = job.machine.model, job.tool_offset_mm
+    parameters = np.random.default_rng(0).normal(size=model.size) * job.machine.family.prior_standard_deviation
+    nodes, anchor = table_grid(model, TableSettings())
+    table = build_table(model, parameters, nodes, offset, anchor, np.zeros((1, 3)))
+    volumetric = VolumetricSummary(Quantity(8.0), Quantity(3.0, 0.5, (2.0, 4.0)), 7.0)
+    estimate: Any = SimpleNamespace(model=model, parameters=parameters)
+    missing: Any = None
+    found = EstimationResult(missing, estimate, volumetric, missing, table, missing)
+    assert found.applied_as(stored_table(table, USUAL_STORE), offset) is found
+    for limits in (replace(USUAL_STORE, own_axis_loss_mm=0.1), replace(USUAL_STORE, resolution_mm=1e-2)):
+        stored = stored_table(table, limits)
+        applied = found.applied_as(stored, offset)
+        stated = applied.volumetric.after_aligned
+        gain = expected_gain(estimate, found.unknown_um, no_correction, stored.at, offset)
+        assert stated.value_um == pytest.approx(gain.new_um, rel=0.05)  # the grids of the travel differ
+        assert stated.value_um > 4.0
+        assert stated.limits_um is not None
+        assert stated.limits_um[0] < stated.value_um < stated.limits_um[1]
+        assert applied.unknown_um == pytest.approx(found.unknown_um) == pytest.approx(3.0)
 
 
 def test_written_parameters_are_those_of_the_table_whatever_rigid_motion_it_contains() -> None:

@@ -44,8 +44,7 @@ def weighed(monkeypatch: pytest.MonkeyPatch, power: float, consent: Consent, *, 
     )
     reference: Any = SimpleNamespace()
     task = CalibrationTask(job, reference=reference, consent=consent, changed=seen_before)
-    volumetric = SimpleNamespace(after_aligned=SimpleNamespace(value_um=18.0))
-    estimation: Any = SimpleNamespace(volumetric=volumetric, estimate=None, table=None, travel=None)
+    estimation: Any = SimpleNamespace(unknown_um=18.0, estimate=None, table=None, travel=None)
     ready: Any = SimpleNamespace(correction=None)
     return calibration._weigh(task, ready, estimation, ready)
 
