@@ -136,7 +136,11 @@ class TableImage:
 
 @dataclass(frozen=True)
 class StoreLimits:
-    """Limits on the tables that a compensation store accepts."""
+    """Limits on the tables that a compensation store accepts.
+
+    `own_axis_loss_mm` is None if the controller applies whole tables. Otherwise, it corrects each axis by the position
+    of this axis alone, and `own_axis_loss_mm` is the largest part of a correction that may be lost at any node.
+    """
 
     banks: tuple[int, ...]
     max_nodes: tuple[int, int, int]
@@ -144,6 +148,7 @@ class StoreLimits:
     resolution_mm: float
     max_correction_mm: float
     activation: Activation
+    own_axis_loss_mm: float | None = None
 
 
 @runtime_checkable

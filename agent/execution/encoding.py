@@ -74,6 +74,14 @@ def table_digest(table: TableImage) -> int:
     return zlib.crc32(table.counts.astype(">i4").tobytes())
 
 
+def is_same_table(one: TableImage | None, other: TableImage | None) -> bool:
+    """Return True if two banks contain the same corrections at the same places, or if both are empty.
+
+    Equal checksums do not suffice: `table_digest` contains neither the grid nor the resolution of a table.
+    """
+    return one is other if one is None or other is None else one.same_as(other)
+
+
 def decode_table(origin_mm: str, step_mm: str, resolution_mm: float, shape: str, counts: bytes) -> TableImage:
     """Return the compensation table that is stored in one row of the journal's database table `tables`. The arguments
     are columns of this row.

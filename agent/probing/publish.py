@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from agent.execution.encoding import table_digest
+from agent.execution.encoding import is_same_table, table_digest
 from agent.execution.steps import (
     ActivateBank,
     AwaitActive,
@@ -85,8 +85,7 @@ def read_restored(bank: int) -> Plan[ActiveCompensation]:
 def require_as_found(found: ActiveCompensation, held: ActiveCompensation) -> None:
     """Raise ReadBackMismatch if the reactivated bank contains another table than before the run. `found` is the
     compensation before the run, `held` the one after its reactivation."""
-    before, after = (None if one.table is None else table_digest(one.table) for one in (found, held))
-    if after != before:
+    if not is_same_table(found.table, held.table):
         raise ReadBackMismatch(
             f"bank {found.bank} holds another table than before the run",
             hint="it was written meanwhile: find out by whom, or write the former table with `volcal table restore`",

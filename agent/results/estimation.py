@@ -7,6 +7,7 @@ Computation of the volumetric error inside and outside the measured region from 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
@@ -44,11 +45,14 @@ from twin.identification.instruments.readings import InstrumentReadings
 from twin.identification.predicted import FieldSums, expected_vce, field_forms, field_sums
 from twin.machine.anchor import Anchor
 from twin.machine.error_model import ErrorModel
+from twin.machine.forward_model import deviation_basis
 from twin.machine.machine_description import MachineDescription
-from twin.machine.volumetric import QuadraticForm, evaluation_grid
+from twin.machine.volumetric import QuadraticForm, evaluation_grid, volumetric_error
 from twin.uncertainty.thermometer_effect import thermometer_effect
 from twin.uncertainty.volumetric_limits import limits_of_form
 from twin.units import UM_PER_MM
+
+_NEGLIGIBLE = 0.1
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,7 @@ class EstimationResult:
     `volumetric` contains the estimated volumetric error (VE) of the machine without compensation and the predicted
     volumetric compensated error (VCE), the volumetric error that remains with the table active. `travel` contains both
     inside and outside the measured region. `thermometer` is the effect of the artefact's thermometer on the prediction.
+    `lost_um` is the part of the VCE in µm that the controller causes because it does not apply the whole table.
     """
 
     observations: Observations
@@ -66,6 +71,32 @@ class EstimationResult:
     travel: TravelParts
     table: CompensationTable
     thermometer: ThermometerFacts
+    lost_um: float = 0.0
+
+    @property
+    def unknown_um(self) -> float:
+        """Volumetric error in µm, after removal of the best-fitting rigid motion, that is left if all estimated errors
+        are corrected."""
+        return math.sqrt(max(self.volumetric.after_aligned.value_um**2 - self.lost_um**2, 0.0))
+
+    def applied_as(self, table: CompensationTable, tool_offset_mm: Array) -> EstimationResult:
+        """Return the same result with the VCE that is left if the controller applies `table`, which is its form of the
+        table of this result. Losses that change the VCE by less than 0.5 % are left out."""
+        estimate, after = self.estimate, self.volumetric.after_aligned
+        grid = evaluation_grid(estimate.model.ranges_mm)
+        left = deviation_basis(estimate.model, grid, tool_offset_mm) @ estimate.parameters + table.at(grid)
+        lost_um = volumetric_error(grid + tool_offset_mm, left).aligned_um
+        if lost_um < _NEGLIGIBLE * after.value_um:
+            return self
+        low, high = (math.hypot(limit, lost_um) for limit in after.limits_um or (after.value_um, after.value_um))
+        value_um = math.hypot(after.value_um, lost_um)
+        doubt = after.standard_uncertainty_um
+        applied = Quantity(
+            value_um,
+            None if doubt is None else doubt * after.value_um / value_um,
+            None if after.limits_um is None else (low, high),
+        )
+        return replace(self, volumetric=replace(self.volumetric, after_aligned=applied), lost_um=lost_um)
 
     def reference(self, artefact: Artefact) -> ReferenceArtefact:
         """Return the artefact with whose balls the table is proved, for the `artefact` of the artefact file. Its sag is

@@ -5,9 +5,10 @@ show this. If the active table is kept, nothing is written and it is confirmed. 
 held-out balls, and they must be as predicted; otherwise the former table is restored.
 
 Let e be the true deviation of the machine, ê its estimate with the covariance C, and c₀ and c₁ the corrections of the
-active and of the new table, with c₁ = -ê. The mean square that is left with the active table is expected to be
-|ê + c₀|² + tr C, with the new table tr C. The proof, its probability of acceptance and its probability of error are
-those of `twin.artefact.effect_test`, with the change c₀ - c₁ of the displayed positions.
+active and of the new table. The mean square that is left is expected to be |ê + c₀|² + tr C with the active table, and
+|ê + c₁|² + tr C with the new one. Both corrections are those that the controller applies: c₁ is -ê only at the nodes of
+the table, and only to the resolution with which the controller stores it. The proof, its probability of acceptance and
+its probability of error are those of `twin.artefact.effect_test`, with the change c₀ - c₁ of the displayed positions.
 
 A controller may store a table and apply something else: nothing, a part, another sign, other axes, or the nodes in
 another order. The change of the held-out balls shows this free of the errors of the machine and of the certificate
@@ -65,12 +66,19 @@ class ExpectedGain:
         return self.fraction >= min_gain
 
 
-def expected_gain(estimate: Estimate, new_um: float, correction: Correction, tool_offset_mm: Array) -> ExpectedGain:
-    """Return the errors expected from `estimate` with the active table, whose corrections are `correction`, and with
-    the table of the estimate. `new_um` is the error in µm that the estimate predicts with its own table."""
+def expected_gain(
+    estimate: Estimate, unknown_um: float, former: Correction, new: Correction, tool_offset_mm: Array
+) -> ExpectedGain:
+    """Return the errors expected from `estimate` with the corrections `former` of the active table and `new` of the new
+    one, both as the controller applies them. `unknown_um` is the error in µm that is left if all estimated errors are
+    corrected."""
     grid = evaluation_grid(estimate.model.ranges_mm, _GRID)
-    left = _field(estimate, grid, tool_offset_mm) + correction(grid)
-    return ExpectedGain(math.hypot(volumetric_error(grid + tool_offset_mm, left).aligned_um, new_um), new_um)
+    points, field = grid + tool_offset_mm, _field(estimate, grid, tool_offset_mm)
+    kept_um, new_um = (
+        math.hypot(volumetric_error(points, field + correction(grid)).aligned_um, unknown_um)
+        for correction in (former, new)
+    )
+    return ExpectedGain(kept_um, new_um)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,8 +150,9 @@ def earlier_deviations(
 
 
 def proof_power(job: Job, estimation: EstimationResult, former: FormerBalls) -> float:
-    """Return the probability that the proof accepts the table of the estimate if it works. The held-out balls `former`
-    were measured with the active table. Raises MeasurementFault if too few were measured."""
+    """Return the probability that the proof accepts the table of `estimation`, as the controller applies it, if it
+    works. The held-out balls `former` were measured with the active table. Raises MeasurementFault if too few were
+    measured."""
     reference, offset = estimation.reference(job.artefact), job.tool_offset_mm
     with translated(MeasurementFault):
         result = former.residuals(offset, reference.artefact)
@@ -225,7 +234,7 @@ def confirm(
 
 def prove(job: Job, estimation: EstimationResult, former: FormerBalls, after: Sequence[MeasuredBall]) -> Proof:
     """Return the proof of a new compensation table at the held-out balls that were measured both with the former table,
-    `former`, and with the new one, `after`.
+    `former`, and with the new one, `after`. The table of `estimation` is the one that the controller applies.
 
     If the machine drifted, the residuals with the former table are first converted to the state of the machine at the
     end of the measurement. Otherwise an error that grew during the measurement would hide the effect of the table, and

@@ -9,15 +9,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 from agent.errors import Busy
 from agent.execution.encoding import table_digest
 from agent.execution.engine import Engine
 from agent.execution.journal import Journal
 from agent.execution.journal_reader import JournalReader, has_journal, open_journal
+from agent.execution.journal_rows import TableRow
 from agent.execution.rig import ACTIVATED_AFTER, ACTIVATION_INSTRUCTION, Rig
 from agent.execution.run_lock import ownership
 from agent.execution.steps import CheckPermissions, Plan
+from agent.execution.stored_json import stored_json
 from agent.probing import publish
 from agent.runs.reconcile_result import CompensationState, ReconcileAction, Reconciliation
 from agent.runs.reference_state import ACTIVATING_DECISIONS
@@ -25,16 +28,32 @@ from agent.runs.unfinished_run import UnfinishedRun, left_unproved, unfinished_r
 from agent.runs.unproved_table import UnprovedTable
 from drivers.clock import Deadline
 from drivers.errors import DeviceError, NotActiveYet, PermissionMissing
-from drivers.roles import MotionState
+from drivers.roles import MotionState, TableImage
 
 
 @dataclass(frozen=True)
 class RecordedBank:
-    """Number of a bank, with the CRC-32 of the table in it. The CRC-32 is None for an empty bank and for bank 0 (no
-    compensation)."""
+    """Number of a bank, with the CRC-32 of the table in it, and its grid: origin, step, resolution and shape. Both are
+    None for an empty bank and for bank 0 (no compensation). The same corrections elsewhere are another table."""
 
     number: int
     crc32: int | None
+    grid: tuple[object, ...] | None
+
+    @classmethod
+    def of_image(cls, number: int, image: TableImage | None) -> Self:
+        if image is None:
+            return cls(number, None, None)
+        grid = (*image.origin_mm, *image.step_mm, image.resolution_mm, *image.shape)
+        return cls(number, table_digest(image), grid)
+
+    @classmethod
+    def of_row(cls, row: TableRow) -> Self:
+        origin, step, shape = (
+            stored_json(text) for text in (row.origin_mm_text or "[]", row.step_mm_text or "[]", row.shape_text or "[]")
+        )
+        grid = None if row.crc32 is None else (*origin, *step, row.resolution_mm, *shape)
+        return cls(row.bank, row.crc32, grid)
 
 
 @dataclass(frozen=True)
@@ -174,8 +193,7 @@ def _state(last: LastCompensation, active: RecordedBank) -> CompensationState:
 
 
 def _active_bank(rig: Rig, active: int) -> RecordedBank:
-    image = rig.store.read_table(active) if active else None
-    return RecordedBank(active, None if image is None else table_digest(image))
+    return RecordedBank.of_image(active, rig.store.read_table(active) if active else None)
 
 
 def _waiting(
@@ -206,7 +224,7 @@ def _restored(
 
     former = last.former
     image = rig.store.read_table(former.number) if former.number else None
-    if former.number and (image is None or table_digest(image) != former.crc32):
+    if former.number and RecordedBank.of_image(former.number, image) != former:
         instruction = f"bank {former.number} no longer holds the former table: `volcal table restore` writes it"
         return unrestored(ReconcileAction.LEFT, None, instruction)
     _await_rest(rig)
@@ -263,8 +281,8 @@ def _read(reader: JournalReader, of_run: int | None) -> LastCompensation | None:
     return LastCompensation(
         run=backup.run,
         run_id=backup.run_id,
-        former=RecordedBank(backup.bank, backup.crc32),
-        staged=None if staged is None else RecordedBank(staged.bank, staged.crc32),
+        former=RecordedBank.of_row(backup),
+        staged=None if staged is None else RecordedBank.of_row(staged),
         unproved=left_unproved(reader, backup.run),
         accepted=reader.has_decision(backup.run, ACTIVATING_DECISIONS),
         restored=reader.last_table(backup.run, "restored") is not None,

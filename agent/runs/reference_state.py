@@ -15,7 +15,7 @@ from typing import Self
 
 import numpy as np
 
-from agent.execution.encoding import table_digest
+from agent.execution.encoding import is_same_table, table_digest
 from agent.execution.journal import RunJournal
 from agent.execution.journal_reader import ANY_RUN, has_journal, open_journal
 from agent.execution.journal_rows import DecisionRow
@@ -70,13 +70,22 @@ class ReferenceState:
     """Estimate and compensation table of the last accepted night. A full calibration counts as a night here.
 
     `run_id` is the run of that night. `since` is the UTC time of its acceptance in ISO 8601. `table` is the table that
-    has been active since then. `estimate` is the estimate of that night, which becomes the prior of the next night.
+    has been active since then, and `image` this table as the controller stores it; it is None without compensation, or
+    if the journal does not contain it. `estimate` is the estimate of that night, which becomes the prior of the next
+    night.
     """
 
     run_id: str
     since: str
     table: AcceptedTable
     estimate: StoredEstimate
+    image: TableImage | None = None
+
+    def is_table(self, active: TableImage | None) -> bool:
+        """Return True if `active`, the active table or None without compensation, is the accepted one."""
+        if active_digest(active) != self.table.crc32:
+            return False
+        return self.image is None or is_same_table(active, self.image)
 
     def nights_until(self, now: str) -> float:
         """Return the number of nights (periods of 24 h) from the acceptance of this estimate until `now` (UTC, ISO
@@ -206,7 +215,9 @@ def _reference(directory: Path, before_run: int) -> ReferenceState | None:
     with damage_reported(InputError, directory / FILE_NAME):
         written = np.array(decision.record["written"], dtype=np.float64)
         accepted = AcceptedTable(**{**decision.record, "written": written})
-    return ReferenceState(decision.run_id, decision.at, accepted, known)
+    with open_journal(directory) as reader:
+        image = reader.image_with_digest(decision.run, accepted.crc32)
+    return ReferenceState(decision.run_id, decision.at, accepted, known, image)
 
 
 def _accepted(directory: Path, before_run: int) -> tuple[DecisionRow | None, str | None]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -52,13 +52,13 @@ def test_a_nearly_perfect_machine_is_not_promised_what_it_does_not_get(worse: fl
 def gain(found: Score, active: Score | None) -> float:
     """Return the gain that a run expects of its new table if the table of the run `active` is active."""
 
-    def correction(displayed: Array) -> Array:
-        if active is None:
+    def correction(of: Score | None, displayed: Array) -> Array:
+        if of is None:
             return no_correction(displayed)
-        model = active.estimate.model
-        return np.asarray(-deviation_basis(model, displayed, TOOL) @ active.estimate.parameters)
+        return np.asarray(-deviation_basis(of.estimate.model, displayed, TOOL) @ of.estimate.parameters)
 
-    return expected_gain(found.estimate, found.predicted_um, correction, TOOL).fraction
+    former, new = partial(correction, active), partial(correction, found)
+    return expected_gain(found.estimate, found.predicted_um, former, new, TOOL).fraction
 
 
 @pytest.mark.parametrize("worse", [0.05, 0.1])

@@ -35,7 +35,7 @@ from agent.results.gates.table_gates import gain_gate, proof_gate, table_gates
 from agent.results.journal_entries import record_held_out, record_identified
 from agent.results.observations import balls_for_estimate
 from agent.results.run_outcome import Confirmation, Decision, Proof
-from agent.results.table_image import image_of
+from agent.results.table_image import image_of, stored_table
 from agent.results.table_replacement import (
     ExpectedGain,
     FormerBalls,
@@ -141,7 +141,7 @@ def concluded(
     yield from note_measured(MEASURED, measured)
     yield Enter("state/identifying", RunState.IDENTIFYING)
     estimation = yield from estimated(
-        job, lambda: _estimate(ready, job, measured), lambda: balls_for_estimate(job, measured)
+        job, lambda: _estimate(task, ready, measured), lambda: balls_for_estimate(job, measured)
     )
     weighed = yield Conclude("identify/weighed", lambda: _weigh(task, ready, estimation, measured))
 
@@ -162,9 +162,11 @@ def concluded(
     )
 
 
-def _estimate(ready: PreparedRun, job: Job, measured: MeasuredPositions) -> EstimationResult:
+def _estimate(task: CalibrationTask, ready: PreparedRun, measured: MeasuredPositions) -> EstimationResult:
+    job = task.job
     with translated(MeasurementFault):
-        return estimate_from_balls(job, balls_for_estimate(job, measured), ready.correction)
+        found = estimate_from_balls(job, balls_for_estimate(job, measured), ready.correction)
+    return found.applied_as(stored_table(found.table, task.store), job.tool_offset_mm)
 
 
 def estimated(
@@ -187,8 +189,8 @@ def _weigh(
     and the proof can show the effect of the new one. On a machine that has changed it is never confirmed: the run is
     refused if the effect of a new one could not be shown."""
     job = task.job
-    new_um = estimation.volumetric.after_aligned.value_um
-    gain = expected_gain(estimation.estimate, new_um, ready.correction, job.tool_offset_mm)
+    stored = stored_table(estimation.table, task.store)
+    gain = expected_gain(estimation.estimate, estimation.unknown_um, ready.correction, stored.at, job.tool_offset_mm)
     gates = estimate_gates(estimation.estimate, job.gate_limits)
     if task.reference is not None:
         change = change_since(job, task.reference, task.nights, estimation.estimate)
@@ -202,7 +204,7 @@ def _weigh(
     way = way_through(to_write, task.consent)
     if way == REFUSE:
         return _Weighed(gain, None, to_write, REFUSE)
-    proof = proof_gate(power_of_proof(job, ready, estimation, measured))
+    proof = proof_gate(power_of_proof(job, ready, task.store, estimation, measured))
     if proof.passed:
         return _Weighed(gain, proof.value, (*to_write, proof), way)
     if way == WRITE and not changed:
@@ -210,10 +212,19 @@ def _weigh(
     return _Weighed(gain, proof.value, (*to_write, proof), REFUSE)
 
 
-def power_of_proof(job: Job, ready: PreparedRun, estimation: EstimationResult, measured: MeasuredPositions) -> float:
+def power_of_proof(
+    job: Job, ready: PreparedRun, store: StoreLimits, estimation: EstimationResult, measured: MeasuredPositions
+) -> float:
     """Return the probability that the proof accepts the table of the estimate if it works. Raises MeasurementFault if
     too few held-out balls were measured."""
-    return proof_power(job, estimation, FormerBalls.of(job, estimation, measured, ready.correction))
+    former = FormerBalls.of(job, estimation, measured, ready.correction)
+    return proof_power(job, _as_stored(estimation, store), former)
+
+
+def _as_stored(estimation: EstimationResult, store: StoreLimits) -> EstimationResult:
+    """Return `estimation` with its table as the controller applies it. A proof compares what was measured with this
+    table: the resolution of the controller is no mistake of the controller."""
+    return replace(estimation, table=stored_table(estimation.table, store))
 
 
 def way_through(gates: Sequence[Gate], consent: Consent) -> str:
@@ -318,7 +329,7 @@ def written(
 
     def proof() -> Proof:
         former = FormerBalls.of(job, estimation, measured, ready.correction)
-        return prove(job, estimation, former, job.balls_of(verified, held_out=True))
+        return prove(job, _as_stored(estimation, limits), former, job.balls_of(verified, held_out=True))
 
     return (yield from _proved(task, ready, estimation, measured, verified, image, proof, after_proof))
 

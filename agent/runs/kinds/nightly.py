@@ -28,6 +28,7 @@ from agent.results.gates.gate import Gate
 from agent.results.gates.table_gates import proof_gate, shape_gates
 from agent.results.observations import balls_for_estimate
 from agent.results.run_outcome import Decision, NightReport, Proof, no_gain_text
+from agent.results.table_image import stored_table
 from agent.results.table_replacement import ExpectedGain
 from agent.runs.change_since_reference import change_since, fit_of_night
 from agent.runs.consent import Consent
@@ -388,8 +389,9 @@ def _fuse(running: _Night, measured: MeasuredPositions) -> _Fused:
         options = replace(thermal_options(chosen.temperature, drift), carried_over=judge.prior)
         fit = fit_of_night(job, judge.reference, judge.nights, observations, options)
         options = replace(options, carried_over=fit.prior)
-        estimation = estimate_in_run(job, balls, observations, options)
-    return _Fused(estimation, fit)
+        found = estimate_in_run(job, balls, observations, options)
+    applied = stored_table(found.table, running.task.store)
+    return _Fused(found.applied_as(applied, job.tool_offset_mm), fit)
 
 
 def _gates(running: _Night, fused: _Fused) -> tuple[Gate, ...]:
@@ -419,7 +421,7 @@ def _power(
     gain = ExpectedGain(expected.ve_now_um or 0.0, expected.ve_after_um or 0.0)
     if not gain.reaches(running.job.settings.nightly.min_gain):
         return None
-    return power_of_proof(running.job, running.ready, estimation, measured)
+    return power_of_proof(running.job, running.ready, running.task.store, estimation, measured)
 
 
 def _with_power(report: NightReport, power: float | None) -> NightReport:

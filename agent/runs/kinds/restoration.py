@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from agent.execution.encoding import table_digest
+from agent.execution.encoding import is_same_table, table_digest
 from agent.execution.journal_reader import open_journal
 from agent.execution.journal_schema import FILE_NAME
 from agent.execution.states import RunState
@@ -54,7 +54,7 @@ def restoration(asked: Restoration, image: TableImage | None, limits: StoreLimit
     yield Enter("state/restoring", RunState.RESTORING)
     return Fork(
         "restore-table/needed",
-        lambda: ALREADY if _same(found.table, image) else WRITTEN_AGAIN,
+        lambda: ALREADY if is_same_table(found.table, image) else WRITTEN_AGAIN,
         {
             WRITTEN_AGAIN: lambda: _written_again(asked, image, limits, found),
             ALREADY: lambda: _already(found),
@@ -102,7 +102,3 @@ def stored_table(directory: Path, run_id: str, role: str) -> TableImage | None:
         file = str(directory / FILE_NAME)
         raise InputError(f"run {run_id} has stored no {role} table", hint="`/api/tables` lists them", file=file)
     return image
-
-
-def _same(one: TableImage | None, other: TableImage | None) -> bool:
-    return one is other if one is None or other is None else one.same_as(other)

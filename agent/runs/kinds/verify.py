@@ -25,7 +25,7 @@ from agent.runs.kinds.position_choice import PositionChooser
 from agent.runs.kinds.run_parts import PreparedRun, complete, found_compensation, prepared_run, refused
 from agent.runs.kinds.verification_choice import VerificationChoice, VerificationChooser
 from agent.runs.planned_run import PlannedRun, StartConditions, plan_run
-from agent.runs.reference_state import ReferenceState, active_digest, require_reference
+from agent.runs.reference_state import ReferenceState, require_reference
 from twin.monitoring.step_power import SmallestStep
 
 ITS_TABLE, OTHER_TABLE = "accepted table active", "another table active"
@@ -107,7 +107,7 @@ def with_table_of(reference: ReferenceState, then: Callable[[ActiveCompensation]
     found = yield from found_compensation()
     return Fork(
         "before/table",
-        lambda: ITS_TABLE if active_digest(found.table) == reference.table.crc32 else OTHER_TABLE,
+        lambda: ITS_TABLE if reference.is_table(found.table) else OTHER_TABLE,
         {ITS_TABLE: lambda: then(found), OTHER_TABLE: lambda: refused(lambda: _refuse_other(reference, found))},
         expected=ITS_TABLE,
     )

@@ -14,7 +14,7 @@ The directory of the store contains the following files for each bank, and one l
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +46,7 @@ class CompFileStore:
         self._accepted_loss_mm = accepted_loss_mm
 
     def store_limits(self) -> StoreLimits:
-        return self._banks.limits
+        return replace(self._banks.limits, own_axis_loss_mm=self._accepted_loss_mm)
 
     def active_bank(self) -> int:
         """Return the number of the bank of tables that was selected when LinuxCNC was started."""
@@ -57,8 +57,8 @@ class CompFileStore:
         return None if chosen == self.active_bank() else chosen
 
     def read_table(self, bank: int) -> TableImage | None:
-        """Return the whole table of a bank as it was staged (written); None for bank 0 (no compensation) or an empty
-        bank.
+        """Return the whole table of an inactive bank as it was staged (written); None for bank 0 (no compensation) or
+        an empty bank. Of the table in the active bank, return the part that LinuxCNC applies: its own-axis part.
 
         For the active bank, the method raises ChecksumMismatch if LinuxCNC was started with a different table, and
         StoreError if there is no table.
@@ -73,7 +73,7 @@ class CompFileStore:
             raise self._banks.error(f"the active bank {bank} holds no table")
         if counts_crc32(table.counts) != self._signal(CRC_SIGNAL):
             raise self._mismatch(f"bank {bank} is not what LinuxCNC was started with")
-        return table
+        return _applied_image(table)
 
     def stage(self, bank: int, table: TableImage) -> None:
         """Write the whole table and its own-axis part to the files of an inactive bank.
@@ -123,7 +123,8 @@ class CompFileStore:
         subject = "compensation"
         try:
             active, pending = self.active_bank(), self.pending_bank()
-            table = self.read_table(active)
+            self.read_table(active)  # raises an error if it is not what LinuxCNC was started with
+            table = self._banks.read(active) if active else None
         except StoreError as error:
             return [DiagnosticFinding(subject, ok=False, text=str(error))]
         text = f"bank {active} is active, joint by joint" if active else "no table is active"
@@ -217,6 +218,15 @@ class OwnAxisPart:
     nominal_mm: tuple[Values, Values, Values] = field(repr=False)
     correction_mm: tuple[Values, Values, Values] = field(repr=False)
     lost_mm: float
+
+
+def _applied_image(table: TableImage) -> TableImage:
+    """Return the table whose corrections are those of the own-axis part of `table`, in whole counts."""
+    counts = np.empty_like(table.counts)
+    for axis, correction in enumerate(own_axis_part(table).correction_mm):
+        along = np.rint(correction / table.resolution_mm).astype(np.int32)
+        counts[..., axis] = along.reshape([-1 if other == axis else 1 for other in range(3)])
+    return replace(table, counts=counts)
 
 
 def own_axis_part(table: TableImage) -> OwnAxisPart:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -568,7 +569,7 @@ def once(first: Callable[[], None], then: Callable[..., None]) -> Callable[..., 
 OTHER = TableImage((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1e-4, np.ones((2, 2, 2, 3), dtype=np.int32))
 
 
-@pytest.mark.parametrize("held", [OTHER, None])
+@pytest.mark.parametrize("held", [OTHER, replace(TABLE, origin_mm=(500.0, 0.0, 0.0)), None])
 @pytest.mark.parametrize("full", [False, True])
 def test_a_former_bank_that_was_written_during_the_run_is_told_and_not_called_restored(
     held: TableImage | None, full: bool

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from pathlib import Path
 from queue import SimpleQueue
 from types import SimpleNamespace
@@ -495,6 +496,9 @@ RESTORE = "`volcal table restore 20261101T020000Z-0000 --role staged`"
         (Store(0), CompensationState.LOST, f"bank 1 no longer holds its table: restore it ({RESTORE})"),
         (Store(1, bank1=table(2)), CompensationState.CHANGED, f"restore the table ({RESTORE}) or calibrate again"),
         (Store(2, bank2=table(3)), CompensationState.CHANGED, f"restore the table ({RESTORE}) or calibrate again"),
+        (Store(1, bank1=replace(table(1), origin_mm=(500.0, 0.0, 0.0))), CompensationState.CHANGED, "find out who"),
+        (Store(1, bank1=replace(table(1), step_mm=(1.0, 2.0, 1.0))), CompensationState.CHANGED, "find out who"),
+        (Store(1, bank1=replace(table(1), resolution_mm=1e-3)), CompensationState.CHANGED, "find out who"),
         (Store(2, bank1=table(1), bank2=table(3)), CompensationState.CHANGED, "find out who changed it"),
     ],
 )

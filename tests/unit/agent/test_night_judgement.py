@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from agent.errors import GateRefused, MeasurementFault, PlanRefused
+from agent.execution.encoding import table_digest
 from agent.execution.engine import Engine
 from agent.execution.run_state import RunStateTracker
 from agent.execution.states import RunState
@@ -26,10 +27,12 @@ from agent.runs.kinds.night_plan import NightPlan
 from agent.runs.kinds.nightly import NightTask, night
 from agent.runs.kinds.run_parts import PreparedRun
 from agent.runs.kinds.slot import Slot, too_late
+from agent.runs.reference_state import ReferenceState
 from agent.runs.run_context import RunHooks, run_actions
 from agent.runs.run_results import RunResults
 from agent.settings.schema import NightlySettings
 from drivers.clock import VirtualClock
+from drivers.roles import TableImage
 from twin.artefact.position_set import Position
 from twin.errors import DataError
 from twin.identification import DriftFactor
@@ -251,7 +254,8 @@ class Night:
         self.judged: list[tuple[str, ...]] = []
         self.calibrated: list[tuple[Any, NightReport]] = []
         self.fused: NightReport | None = None
-        reference = SimpleNamespace(run_id="run-7", table=SimpleNamespace(crc32=accepted))
+        accepted_table: Any = SimpleNamespace(crc32=accepted)
+        reference = ReferenceState("run-7", "2026-11-30T02:00:00Z", accepted_table, estimate=cast(Any, None))
         judge: Any = SimpleNamespace(reference=reference, nights=1.0, job=None, prior=None)
         chooser: Any = SimpleNamespace(
             minutes=lambda positions: 2.0 * len(positions), discriminating=lambda *_, **__: suspected
@@ -386,6 +390,16 @@ class TestSlot:
         with pytest.raises(GateRefused, match="does not hold the table accepted in run run-7"):
             carried_out(one)
         assert one.done == []
+
+    def test_the_accepted_corrections_at_other_places_are_another_table(self) -> None:
+        accepted = TableImage((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1e-4, np.ones((2, 2, 2, 3), dtype=np.int32))
+        table: Any = SimpleNamespace(crc32=table_digest(accepted))
+        reference = ReferenceState("run-7", "2026-11-30T02:00:00Z", table, cast(Any, None), accepted)
+        assert reference.is_table(replace(accepted))
+        assert not reference.is_table(replace(accepted, origin_mm=(500.0, 0.0, 0.0)))
+        assert not reference.is_table(replace(accepted, step_mm=(1.0, 2.0, 1.0)))
+        assert not reference.is_table(replace(accepted, resolution_mm=1e-3))
+        assert not reference.is_table(None)
 
 
 class TestOutOfLimits:

@@ -222,6 +222,27 @@ def test_files_hold_nominal_minus_correction(files: LinuxCncStore, tmp_path: Pat
     assert rows["y"][:2] == ["1.000000000 1.002000000 1.002000000", "5.000000000 4.997000000 4.997000000"]
 
 
+def test_what_is_read_of_the_active_bank_is_what_linuxcnc_adds(
+    files: LinuxCncStore, signals: Signals, tmp_path: Path
+) -> None:
+    """A run subtracts from its measurements what it has read."""
+    (tmp_path / "acting").symlink_to("bank0")
+    counts = np.random.default_rng(1).integers(-40, 40, (4, 3, 2, 3)).astype(np.int32)
+    whole = TableImage((5.0, 1.0, 2.0), (10.0, 4.0, 7.0), 1e-4, counts)
+    files.stage(1, whole)
+    held = files.read_table(1)
+    assert held is not None and held.same_as(whole)  # what was staged, until it is active
+    signals.values |= {"volcal-comp-bank": 1, "volcal-comp-crc": counts_crc32(counts)}
+    active = files.read_table(1)
+    assert active is not None and active.origin_mm == whole.origin_mm
+    for axis, name in enumerate("xyz"):
+        nominal, position, _ = np.loadtxt(tmp_path / "bank1" / f"{name}.comp").T
+        added = np.moveaxis(1e-4 * active.counts[..., axis], axis, -1)
+        assert np.abs(added - (nominal - position)).max() <= 0.5e-4 + 1e-9
+    assert np.abs(active.counts - counts).max() > 10
+    assert any("have no effect" in finding.text for finding in files.diagnose())
+
+
 def test_loss_is_the_largest_remainder_of_the_mean() -> None:
     counts = np.zeros((2, 3, 1, 3), dtype=np.int32)
     counts[1, :, 0, 0] = [10, 20, 60]
