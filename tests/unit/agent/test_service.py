@@ -9,7 +9,9 @@ import os
 import signal
 import socket
 import threading
+import time
 import zipfile
+from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
 from queue import SimpleQueue
@@ -35,6 +37,7 @@ from agent.service.daemon.sd_notify import Notifier
 from agent.service.http.diagnostics import diagnostics_zip
 from agent.service.http.problems import problem_of
 from agent.service.owner.health import Health
+from agent.service.owner.owner_parts import current_circumstances
 from agent.service.owner.questions import Questions, ServiceOperator
 from agent.service.owner.run_hooks import RunHooksFactory
 from agent.service.owner.run_mailbox import RunMailbox
@@ -91,6 +94,41 @@ def test_what_is_left_is_counted_minute_by_minute(begin, end, now) -> None:
     while ((now + walked) % 1440 in open_minutes and (now + walked) % 1440 != end) or walked == 0:
         walked += 1
     assert minutes_until_end(circumstances, [span]) == walked
+
+
+@pytest.fixture
+def berlin(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setenv("TZ", "Europe/Berlin")
+    time.tzset()
+    yield
+    monkeypatch.undo()
+    time.tzset()
+
+
+@pytest.mark.usefixtures("berlin")
+@pytest.mark.parametrize(
+    ("now", "fold", "hours", "left"),
+    [
+        ("2026-03-29T01:00", 0, "22:00-05:30", 210.0),  # the clock goes from 02:00 to 03:00
+        ("2026-03-28T22:00", 0, "22:00-05:30", 390.0),
+        ("2026-03-29T04:00", 0, "22:00-05:30", 90.0),
+        ("2026-03-29T01:00", 0, "22:00-02:30", 30.0),  # the clock never shows 02:30
+        ("2026-10-25T01:00", 0, "22:00-05:30", 330.0),  # the clock goes from 03:00 to 02:00
+        ("2026-10-25T02:15", 0, "22:00-02:30", 15.0),
+        ("2026-10-25T02:15", 1, "22:00-02:30", 15.0),
+        ("2026-10-25T02:15", 1, "22:00-05:30", 195.0),
+        ("2026-06-01T01:00", 0, "22:00-05:30", 270.0),
+    ],
+)
+def test_the_hours_end_by_the_clock_also_in_a_night_in_which_it_is_changed(now, fold, hours, left) -> None:
+    begin = datetime.fromisoformat(now).replace(fold=fold)
+    assert minutes_until_end(Circumstances(begin, 600.0), [hours]) == left
+
+
+@pytest.mark.usefixtures("berlin")
+def test_the_service_knows_the_local_time_with_its_changes() -> None:
+    """A time with a fixed difference from UTC would not know of the change."""
+    assert current_circumstances().now.tzinfo is None
 
 
 def test_a_machine_that_was_just_switched_on_is_left_alone() -> None:
