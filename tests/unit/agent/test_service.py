@@ -21,7 +21,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from service_house import PATIENCE_S, READY_MACHINE, house, settings_document
 
-from agent.errors import Aborted, Busy, GateRefused
+from agent.cli.service_commands.start import DECLINED
+from agent.errors import Aborted, Busy, GateRefused, ResetMissing
 from agent.execution.journal import Journal
 from agent.execution.run_state import Announcement
 from agent.execution.states import RunState
@@ -391,8 +392,10 @@ def test_after_a_power_cut_the_status_has_what_the_journal_holds_and_names_the_w
         assert (left.state, left.run_id, left.balls, left.touches) == (RunState.FAULTED, "run-1", 27, 1)
         assert left.started is not None
         assert "`volcal resume` then resumes run run-1" in left.alarms[0].hint
-        with pytest.raises(PermissionMissing) as refused:
+        with pytest.raises(ResetMissing) as refused:
             built.owner.start(NIGHTLY)
+        assert refused.value.exit_code != DECLINED
+        assert type(error_of(problem_of(refused.value).model_dump())) is ResetMissing
         assert "reset (`volcal reset`), then resume run run-1 (`volcal resume`)" in refused.value.hint
         built.owner.reset()
         assert (built.owner.status().balls, built.owner.status().started) == (0, None)
