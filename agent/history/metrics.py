@@ -11,12 +11,14 @@ from threading import Lock
 from prometheus_client import CollectorRegistry, Gauge, generate_latest
 
 from agent.execution.states import FINAL
+from agent.history.active_table import active_table_figures
 from agent.history.cached_trends import CachedTrends
 from agent.history.database_url import database_address
 from agent.history.dated_ahead import RunsByDate
 from agent.history.kept_documents import KeptDocuments
 from agent.history.overview import VOLUMETRIC, alarms_of
 from agent.history.schema import StoredRun, utc_time
+from agent.history.series import ACTIVE, HELD_OUT
 from agent.history.trends import AlarmKind, Trend
 from agent.settings.schema import Settings
 
@@ -37,7 +39,7 @@ def metrics_text(
     """
     registry = CollectorRegistry()
     _of_runs(registry, machine, runs)
-    _of_trends(registry, machine, trends, runs.ahead)
+    _of_trends(registry, machine, trends, runs)
     return generate_latest(registry).decode() + live_text(machine, live or {})
 
 
@@ -101,7 +103,7 @@ def _of_runs(registry: CollectorRegistry, machine: str, runs: RunsByDate[StoredR
         _gauge(registry, name, text).labels(machine).set(value)
 
 
-def _of_trends(registry: CollectorRegistry, machine: str, trends: Sequence[Trend], ahead: Sequence[StoredRun]) -> None:
+def _of_trends(registry: CollectorRegistry, machine: str, trends: Sequence[Trend], runs: RunsByDate[StoredRun]) -> None:
     value = _gauge(registry, "trend_value", "newest value of a series", "series", "unit")
     drift = _gauge(registry, "trend_drift_per_night", "drift of a series per night", "series", "unit")
     doubt = _gauge(registry, "trend_drift_uncertainty", "standard uncertainty of the drift", "series", "unit")
@@ -116,11 +118,15 @@ def _of_trends(registry: CollectorRegistry, machine: str, trends: Sequence[Trend
         if trend.crossing is not None:
             left.labels(machine, series.name).set(trend.crossing.expected)
     volumetric = _gauge(registry, "last_ve_micrometres", "newest volumetric error", "which")
+    active = active_table_figures(runs.counted)  # the newest value of the trend may be that of a replaced table
+    of_active = {ACTIVE: active.vce_um, HELD_OUT: active.held_out_um}
     for trend in trends:
-        if trend.series.name in VOLUMETRIC:
-            volumetric.labels(machine, trend.series.name).set(float(trend.series.values[-1]))
+        name = trend.series.name
+        newest = of_active[name] if name in of_active else float(trend.series.values[-1])
+        if name in VOLUMETRIC and newest is not None:
+            volumetric.labels(machine, name).set(newest)
     alarms = _gauge(registry, "trend_alarms", "open alarms of trends and of dates in the future", "kind")
-    kinds = Tally(alarm.kind for alarm in alarms_of(trends, ahead))
+    kinds = Tally(alarm.kind for alarm in alarms_of(trends, runs.ahead))
     for kind in AlarmKind:
         alarms.labels(machine, kind.value).set(kinds[kind])
 
