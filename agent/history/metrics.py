@@ -20,13 +20,13 @@ from agent.history.overview import VOLUMETRIC, alarms_of
 from agent.history.schema import StoredRun, utc_time
 from agent.history.series import ACTIVE, HELD_OUT
 from agent.history.trends import AlarmKind, Trend
+from agent.results.run_verdict import RESTORED, VERDICTS, Look
 from agent.settings.schema import Settings
 
 FILE_NAME = "metrics.json"
 """File of the state directory with the metrics of the history."""
 _TEXT = "text"
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
-ACCEPTED = "complete"
 
 
 def metrics_text(
@@ -81,7 +81,7 @@ def _of_runs(registry: CollectorRegistry, machine: str, runs: RunsByDate[StoredR
     for (kind, state), count in sorted(Tally((run.kind, run.state) for run in runs.every).items()):
         states.labels(machine, kind, state).set(count)
     ended = [run for run in runs.counted if run.ended is not None]
-    good = [run for run in ended if run.state == ACCEPTED]
+    good = [run for run in ended if _is_success(run)]
     moments = (("last_run", ended), ("last_success", good))
     for name, chosen in moments:
         if chosen and chosen[-1].ended is not None:
@@ -95,12 +95,21 @@ def _of_runs(registry: CollectorRegistry, machine: str, runs: RunsByDate[StoredR
     current = _gauge(registry, "last_run_state", "1 for the state in which the last run ended", "state")
     for state in sorted(state.value for state in FINAL):
         current.labels(machine, state).set(float(last.state == state))
+    given = _gauge(registry, "last_run_verdict", "1 for the verdict on the last run", "verdict")
+    for verdict in VERDICTS:
+        given.labels(machine, verdict.name).set(float(last.verdict is verdict))
     for name, text, value in (
         ("last_run_minutes", "machine time of the last run", last.machine_minutes),
         ("last_run_touches", "touches of the last run", float(last.touches)),
         ("last_run_balls", "ball centres of the last run", float(last.balls)),
     ):
         _gauge(registry, name, text).labels(machine).set(value)
+
+
+def _is_success(run: StoredRun) -> bool:
+    """Return True if the run has measured the machine and its verdict is good. A run is complete as well if its table
+    has failed the proof, if the machine is out of its limits, or if it has only restored a table."""
+    return run.verdict.look is Look.GOOD and run.verdict is not RESTORED
 
 
 def _of_trends(registry: CollectorRegistry, machine: str, trends: Sequence[Trend], runs: RunsByDate[StoredRun]) -> None:

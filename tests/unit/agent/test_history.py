@@ -12,6 +12,7 @@ from contextlib import closing
 from dataclasses import replace
 from datetime import date, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,6 +35,7 @@ from agent.history.figure import draw_trends, trends_svg
 from agent.history.journal_runs import runs_until
 from agent.history.metrics import metrics_text
 from agent.history.overview import alarms_of, most_relevant, select_trends, trends_of
+from agent.history.schema import utc_time
 from agent.history.series import ACTIVE, BARE, Series, nights_of
 from agent.history.store import HistoryStore
 from agent.history.sync import RunsLeftOut, sync, sync_ends, sync_missing
@@ -490,6 +492,29 @@ class TestExports:
         assert found["volcal_last_run_state", "complete"].value == 1.0
         assert found["volcal_trend_alarms", "trend"].value == 1.0
         assert found["volcal_last_success_timestamp_seconds", ""].value == pytest.approx(1794195000.0, abs=86400 * 40)
+
+    @pytest.mark.parametrize(
+        ("change", "verdict"),
+        [
+            ({"accepted": False}, "proof-failed"),
+            ({"kind": "verify", "accepted": None, "night": "out of limits"}, "out-of-limits"),
+            ({"kind": "restore", "accepted": None}, "restored"),
+        ],
+    )
+    def test_a_complete_run_without_a_good_verdict_is_no_success(
+        self, state: Path, store: HistoryStore, change: dict[str, Any], verdict: str
+    ) -> None:
+        fed(state, store, [3.0, 4.0])
+        good, last = store.runs()
+        runs = [good, replace(last, **change)]
+        found = {
+            (sample.name, sample.labels.get("verdict", "")): sample.value
+            for family in text_string_to_metric_families(metrics_text("mill", RunsByDate(runs, runs, ()), ()))
+            for sample in family.samples
+        }
+        assert good.ended is not None
+        assert found["volcal_last_success_timestamp_seconds", ""] == utc_time(good.ended).timestamp()
+        assert [name for (metric, name), value in found.items() if metric.endswith("verdict") and value] == [verdict]
 
 
 class TestCommands:
