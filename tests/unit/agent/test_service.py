@@ -485,6 +485,61 @@ def test_settings_are_read_after_the_run_only(tmp_path: Path, monkeypatch: pytes
     assert len(loaded) == 1
 
 
+def test_settings_that_were_read_while_a_run_began_are_read_again_after_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    signals = SimpleQueue[int]()
+    changed = Settings.model_validate(settings_document(tmp_path, nightly={"slot_minutes": 20.0}))
+    loaded: list[Path] = []
+    with house(tmp_path) as built:
+
+        class EndingTheRun(Told):
+            """Ends the run once it is told that the settings wait for its end."""
+
+            def send(self, **assignments: str | int) -> None:
+                super().send(**assignments)
+                status = str(assignments.get("STATUS"))
+                if "after the run" in status or status.startswith("settings not reloaded"):
+                    built.puppet.end(RunState.COMPLETE)
+                if status.startswith("settings not reloaded"):
+                    signals.put(signal.SIGTERM)
+
+        def load(config: Path) -> Settings:
+            loaded.append(config)
+            if len(loaded) == 1:
+                built.owner.start(NIGHTLY)
+                built.puppet.begun()
+            else:
+                signals.put(signal.SIGTERM)
+            return changed
+
+        monkeypatch.setattr("agent.service.daemon.main_loop.load_settings", load)
+        signals.put(signal.SIGHUP)
+        MainLoop(built.owner, built.parts.health, EndingTheRun(), signals, tmp_path / "volcal.toml").run()
+        assert (len(loaded), built.owner.settings.nightly.slot_minutes) == (2, 20.0)
+
+
+def test_a_reload_names_the_changes_that_need_a_restart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told, signals = Told(), SimpleQueue[int]()
+    service = {"port": 8600, "hours": ["22:00-05:00"]}
+    mail = {"host": "mail.example", "sender": "mill@example.org", "to": ["meister@example.org"]}
+    documents = [
+        settings_document(tmp_path, service=service, notifications={"mail": mail}, gateway={"enabled": True}),
+        settings_document(tmp_path, service={"hours": ["22:00-05:00"]}),
+    ]
+    with house(tmp_path) as built:
+        monkeypatch.setattr(
+            "agent.service.daemon.main_loop.load_settings", lambda _: Settings.model_validate(documents.pop(0))
+        )
+        for number in (signal.SIGHUP, signal.SIGHUP, signal.SIGTERM):
+            signals.put(number)
+        MainLoop(built.owner, built.parts.health, told, signals, tmp_path / "volcal.toml").run()
+        assert built.owner.settings.service.hours == ["22:00-05:00"]
+    part, whole = [m["STATUS"] for m in told.messages if m.get("READY")][1:]
+    assert part == "settings reloaded, except those that need a restart: notifications, gateway, service.port"
+    assert "restart" not in str(whole)
+
+
 # ---------------------------------------------------------------------- events
 
 
