@@ -11,7 +11,6 @@ from threading import Lock
 from prometheus_client import CollectorRegistry, Gauge, generate_latest
 
 from agent.execution.states import FINAL
-from agent.history.active_table import active_table_figures
 from agent.history.cached_trends import CachedTrends
 from agent.history.database_url import database_address
 from agent.history.dated_ahead import RunsByDate
@@ -20,6 +19,7 @@ from agent.history.overview import VOLUMETRIC, alarms_of
 from agent.history.schema import StoredRun, utc_time
 from agent.history.series import ACTIVE, HELD_OUT
 from agent.history.trends import AlarmKind, Trend
+from agent.results.active_table import active_table_figures
 from agent.results.run_verdict import RESTORED, VERDICTS, Look
 from agent.settings.schema import Settings
 

@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from agent.history.active_table import active_table_figures
 from agent.history.dated_ahead import ahead_text, by_date
 from agent.history.recent_runs import RecentRun
 from agent.history.schema import utc_text, utc_time
 from agent.history.series import BARE, CHANGED_MACHINE, TITLES, Series
 from agent.history.trends import Trend, trend_of
+from agent.results.active_table import active_table_figures
 from agent.results.run_verdict import RUNNING, Look, RunVerdict
 from twin.units import S_PER_DAY
 

@@ -18,7 +18,6 @@ from volcal_command import volcal, volcal_json
 
 from agent.execution.journal import Journal
 from agent.execution.states import RunState
-from agent.history.active_table import ActiveTableFigures, active_table_figures
 from agent.history.database_url import DatabaseAddress
 from agent.history.dated_ahead import RunsByDate
 from agent.history.metrics import metrics_text
@@ -28,6 +27,7 @@ from agent.history.schema import RUNS, RUNS_BY_START, utc_time
 from agent.history.store import HistoryStore
 from agent.history.sync import sync
 from agent.reports.plant_page import drift_text, plant_html, spark_points
+from agent.results.active_table import ActiveTableFigures, active_table_figures
 from agent.settings.history import HistorySettings
 from drivers.clock import VirtualClock
 from drivers.roles import TableImage
