@@ -6,6 +6,9 @@
     ├── UserError (drivers/errors.py)
     │   ├── EndpointUnavailable   an endpoint cannot be opened, and the service goes on without it
     │   └── NotAllowedInState     the service cannot carry out the request in its present state
+    ├── DeviceError (drivers/errors.py)
+    │   └── PermissionMissing (drivers/errors.py)
+    │       └── ResetMissing      the last run ended with a fault or an abort that nobody has acknowledged
     └── RunError                  decision of the run itself                          exit code 4
         ├── PlanRefused           the preflight found a violated limit, a collision or an unreachable ball
         ├── GateRefused           the estimate must not become a table
@@ -26,7 +29,7 @@ because drivers and simulators raise these errors too.
 
 from __future__ import annotations
 
-from drivers.errors import ConfigurationError, UserError, VolcalError
+from drivers.errors import ConfigurationError, PermissionMissing, UserError, VolcalError
 
 
 class EndpointUnavailable(ConfigurationError):
@@ -35,6 +38,11 @@ class EndpointUnavailable(ConfigurationError):
 
 class NotAllowedInState(UserError):
     pass
+
+
+class ResetMissing(PermissionMissing):
+    """Error for a start after a fault or an abort that nobody has acknowledged by a reset. Unlike other missing
+    permissions it does not pass by itself: without a person, no night would ever be measured again."""
 
 
 class RunError(VolcalError):

@@ -11,7 +11,7 @@ import structlog
 
 from agent.history.database_url import database_address
 from agent.history.store import HistoryStore
-from agent.history.sync import sync_ends
+from agent.history.sync import RunsLeftOut, sync_ends
 from agent.settings.schema import Settings
 from drivers.errors import LinkLost, VolcalError
 
@@ -25,12 +25,15 @@ def update_history(settings: Settings, run_id: str) -> str:
     """Add the run `run_id`, and all other runs of the journal that are missing, to the history database. Runs whose end
     is stored are not read again, so the work does not grow with the number of runs.
 
-    Return an empty text on success. If the database cannot be updated, log the error and return its text; the run is
-    not affected.
+    Return an empty text on success. If the database cannot be updated, or if runs cannot be read and only the others
+    are stored, log the error and return its text; the run is not affected.
     """
     try:
         with closing(HistoryStore(database_address(settings))) as store:
             written = sync_ends(settings.state_directory, store)
+    except RunsLeftOut as error:
+        log.warning("history not complete", run=run_id, reason=str(error))
+        return f"the history is not complete: {error}"
     except VolcalError as error:
         log.warning("history not updated", run=run_id, reason=str(error))
         return f"the history was not updated: {UNREACHED if isinstance(error, LinkLost) else error}"

@@ -17,14 +17,16 @@ from agent.history.dated_ahead import RunsByDate
 from agent.history.kept_documents import KeptDocuments
 from agent.history.overview import VOLUMETRIC, alarms_of
 from agent.history.schema import StoredRun, utc_time
+from agent.history.series import ACTIVE, HELD_OUT
 from agent.history.trends import AlarmKind, Trend
+from agent.results.active_table import active_table_figures
+from agent.results.run_verdict import RESTORED, VERDICTS, Look
 from agent.settings.schema import Settings
 
 FILE_NAME = "metrics.json"
 """File of the state directory with the metrics of the history."""
 _TEXT = "text"
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
-ACCEPTED = "complete"
 
 
 def metrics_text(
@@ -37,7 +39,7 @@ def metrics_text(
     """
     registry = CollectorRegistry()
     _of_runs(registry, machine, runs)
-    _of_trends(registry, machine, trends, runs.ahead)
+    _of_trends(registry, machine, trends, runs)
     return generate_latest(registry).decode() + live_text(machine, live or {})
 
 
@@ -79,7 +81,7 @@ def _of_runs(registry: CollectorRegistry, machine: str, runs: RunsByDate[StoredR
     for (kind, state), count in sorted(Tally((run.kind, run.state) for run in runs.every).items()):
         states.labels(machine, kind, state).set(count)
     ended = [run for run in runs.counted if run.ended is not None]
-    good = [run for run in ended if run.state == ACCEPTED]
+    good = [run for run in ended if _is_success(run)]
     moments = (("last_run", ended), ("last_success", good))
     for name, chosen in moments:
         if chosen and chosen[-1].ended is not None:
@@ -93,6 +95,9 @@ def _of_runs(registry: CollectorRegistry, machine: str, runs: RunsByDate[StoredR
     current = _gauge(registry, "last_run_state", "1 for the state in which the last run ended", "state")
     for state in sorted(state.value for state in FINAL):
         current.labels(machine, state).set(float(last.state == state))
+    given = _gauge(registry, "last_run_verdict", "1 for the verdict on the last run", "verdict")
+    for verdict in VERDICTS:
+        given.labels(machine, verdict.name).set(float(last.verdict is verdict))
     for name, text, value in (
         ("last_run_minutes", "machine time of the last run", last.machine_minutes),
         ("last_run_touches", "touches of the last run", float(last.touches)),
@@ -101,7 +106,13 @@ def _of_runs(registry: CollectorRegistry, machine: str, runs: RunsByDate[StoredR
         _gauge(registry, name, text).labels(machine).set(value)
 
 
-def _of_trends(registry: CollectorRegistry, machine: str, trends: Sequence[Trend], ahead: Sequence[StoredRun]) -> None:
+def _is_success(run: StoredRun) -> bool:
+    """Return True if the run has measured the machine and its verdict is good. A run is complete as well if its table
+    has failed the proof, if the machine is out of its limits, or if it has only restored a table."""
+    return run.verdict.look is Look.GOOD and run.verdict is not RESTORED
+
+
+def _of_trends(registry: CollectorRegistry, machine: str, trends: Sequence[Trend], runs: RunsByDate[StoredRun]) -> None:
     value = _gauge(registry, "trend_value", "newest value of a series", "series", "unit")
     drift = _gauge(registry, "trend_drift_per_night", "drift of a series per night", "series", "unit")
     doubt = _gauge(registry, "trend_drift_uncertainty", "standard uncertainty of the drift", "series", "unit")
@@ -116,11 +127,15 @@ def _of_trends(registry: CollectorRegistry, machine: str, trends: Sequence[Trend
         if trend.crossing is not None:
             left.labels(machine, series.name).set(trend.crossing.expected)
     volumetric = _gauge(registry, "last_ve_micrometres", "newest volumetric error", "which")
+    active = active_table_figures(runs.counted)  # the newest value of the trend may be that of a replaced table
+    of_active = {ACTIVE: active.vce_um, HELD_OUT: active.held_out_um}
     for trend in trends:
-        if trend.series.name in VOLUMETRIC:
-            volumetric.labels(machine, trend.series.name).set(float(trend.series.values[-1]))
+        name = trend.series.name
+        newest = of_active[name] if name in of_active else float(trend.series.values[-1])
+        if name in VOLUMETRIC and newest is not None:
+            volumetric.labels(machine, name).set(newest)
     alarms = _gauge(registry, "trend_alarms", "open alarms of trends and of dates in the future", "kind")
-    kinds = Tally(alarm.kind for alarm in alarms_of(trends, ahead))
+    kinds = Tally(alarm.kind for alarm in alarms_of(trends, runs.ahead))
     for kind in AlarmKind:
         alarms.labels(machine, kind.value).set(kinds[kind])
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
@@ -17,6 +17,7 @@ from agent.history.recent_runs import RecentRun
 from agent.history.schema import utc_text, utc_time
 from agent.history.series import BARE, CHANGED_MACHINE, TITLES, Series
 from agent.history.trends import Trend, trend_of
+from agent.results.active_table import active_table_figures
 from agent.results.run_verdict import RUNNING, Look, RunVerdict
 from twin.units import S_PER_DAY
 
@@ -34,7 +35,8 @@ class MachineSummary:
     its start.
 
     `ve_um`, `vce_um` and `held_out_um` are the newest known volumetric error (VE) without a table, the one with the
-    active table (VCE), and the rms of the held-out balls with it. `recent` are its latest runs, the oldest run first,
+    active table (VCE), and the rms of the held-out balls with it. The last two are None after a stored table was
+    restored for which none of the latest runs states them. `recent` are its latest runs, the oldest run first,
     without those dated in the future (`ahead`).
     """
 
@@ -117,24 +119,19 @@ def _summary(
 ) -> MachineSummary:
     dated = by_date(found, now)
     runs, last = dated.counted, dated.counted[-1]
+    active = active_table_figures(runs)
     in_progress = last.ended is None and (machine, last.run_id) == running
     return MachineSummary(
         machine=machine,
         last=last,
         verdict=RUNNING if in_progress else last.verdict,
         days=max((now - utc_time(last.started)).total_seconds(), 0.0) / S_PER_DAY,
-        ve_um=_newest(run.ve_before_um for run in reversed(runs)),
-        vce_um=_newest(run.acting_um for run in reversed(runs)),
-        held_out_um=_newest(
-            run.held_out_after_um if run.accepted else run.held_out_before_um for run in reversed(runs)
-        ),
+        ve_um=next((run.ve_before_um for run in reversed(runs) if run.ve_before_um is not None), None),
+        vce_um=active.vce_um,
+        held_out_um=active.held_out_um,
         recent=runs,
         ahead=dated.ahead,
     )
-
-
-def _newest(values: Iterator[float | None]) -> float | None:
-    return next((value for value in values if value is not None), None)
 
 
 def _series(runs: Sequence[RecentRun]) -> Series | None:

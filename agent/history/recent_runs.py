@@ -29,6 +29,8 @@ class RecentRun:
     acting_um: float | None
     held_out_before_um: float | None
     held_out_after_um: float | None
+    table_bank: int | None
+    table_crc32: str | None
 
     @property
     def verdict(self) -> RunVerdict:

@@ -72,6 +72,9 @@ _CODES: dict[type[errors.VolcalError], AlarmCode] = {
         "machine not released for motion",
         "establish the missing condition: door, automatic mode, spindle or probe",
     ),
+    run_errors.ResetMissing: AlarmCode(
+        351, "the end of the last run is not acknowledged", "remove the cause of its alarm; reset, then start again"
+    ),
     errors.StoreError: AlarmCode(
         360, "compensation table error", "check which table is active before machining the next part"
     ),

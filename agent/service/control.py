@@ -159,7 +159,7 @@ class Control(Protocol):
         """Start a run and return its identity.
 
         Raise Busy, with the name of the run in progress, if another run is in progress. Raise UserError if the request
-        cannot be carried out, DeviceError if the machine cannot be reached, and PermissionMissing if a reset is needed
+        cannot be carried out, DeviceError if the machine cannot be reached, and ResetMissing if a reset is needed
         first.
 
         A request without consent has further conditions. Raise

@@ -19,7 +19,7 @@ from agent.runs.run_kinds import KINDS
 if will_run():
     from rich.console import Console
 
-    from agent.errors import Busy, GateRefused, RunError
+    from agent.errors import Busy, GateRefused, ResetMissing, RunError
     from agent.execution.states import RunState
     from agent.service.alarms import CODES
     from agent.service.allowed_requests import AT_REST
@@ -82,10 +82,13 @@ def begun(client: Client, body: Mapping[str, object]) -> str:
     run.
 
     End the program with the exit code DECLINED (6) if the service refuses the start because of the time of day, the
-    warm-up, a missing permission or another run.
+    warm-up, a missing permission or another run. Raise ResetMissing if a person must reset first: for a timer this is a
+    failure, since it would be refused every night until then.
     """
     try:
         return str(client.post("/api/start", body)["run_id"])
+    except ResetMissing:
+        raise
     except (Busy, GateRefused, PermissionMissing) as error:
         fail(error)
         raise SystemExit(DECLINED) from None

@@ -13,11 +13,13 @@ from typing import TYPE_CHECKING
 
 import structlog
 
+from agent.errors import Busy
 from agent.service.control import Status
 from agent.service.daemon.sd_notify import Notifier
 from agent.service.owner.health import Health
 from agent.service.owner.owner import Owner
 from agent.settings.load import load_settings
+from agent.settings.schema import Settings
 from drivers.clock import RealClock
 from drivers.errors import LinkLost, VolcalError
 
@@ -31,6 +33,13 @@ POLL_PERIOD_S = 1.0
 FEEDS_PER_PERIOD = 3.0
 """sd_watchdog_enabled(3) recommends at least two notifications per period."""
 US_PER_S = 1e6
+_RELOAD_WAITS = "settings are reloaded after the run in progress"
+_SECTIONS_AT_START = ("notifications", "gateway", "opcua")
+_SERVICE_AT_START = (
+    *("host", "port", "host_names", "certificate_file", "key_file", "token_file"),
+    *("hang_timeout_s", "computation_timeout_minutes"),
+)
+"""Settings that the service reads only when it starts."""
 
 
 @contextmanager
@@ -63,6 +72,9 @@ class MainLoop:
     _reload_waits: bool = False
     _last_text: str = ""
     _hung: bool = False
+
+    def __post_init__(self) -> None:
+        self._started_with = self.owner.settings
 
     def run(self) -> None:
         """Report readiness to systemd. Then feed systemd's watchdog, report the status, and reload the settings on
@@ -122,7 +134,8 @@ class MainLoop:
         return status_text(self.owner.status(), hung=self._hung)
 
     def _reload(self) -> None:
-        """Read the settings file again for the next runs. If it is invalid, report that and keep the old settings.
+        """Read the settings file again for the next runs. If it is invalid, report that and keep the old settings. Name
+        the changed settings that need a restart of the service.
 
         While a run is in progress the file is not even opened; it is read after the end of the run.
         """
@@ -133,16 +146,24 @@ class MainLoop:
     def _reloaded(self) -> str:
         """Reload the settings and return the result as text for `systemctl status`."""
         if self._reload_waits:
-            log.info("settings are reloaded after the run in progress")
-            return "settings are reloaded after the run in progress"
+            log.info(_RELOAD_WAITS)
+            return _RELOAD_WAITS
         try:
-            self.owner.reload(load_settings(self.config))
+            settings = load_settings(self.config)
+            self.owner.reload(settings)
+        except Busy:  # a run has begun since the owner was asked
+            self._reload_waits = True
+            log.info(_RELOAD_WAITS)
+            return _RELOAD_WAITS
         except VolcalError as error:
             log.error("settings not reloaded; the previous ones stay in use", reason=str(error))
             return f"settings not reloaded: {error}".replace("\n", " ")
         except Exception as defect:  # a defect in a reader must not end the service and the run with it
             log.exception("settings not reloaded; the previous ones stay in use")
             return f"settings not reloaded: defect in the service ({type(defect).__name__})"
+        if unapplied := keys_for_restart(self._started_with, settings):
+            log.warning("settings reloaded in part; the others need a restart", need_restart=", ".join(unapplied))
+            return f"settings reloaded, except those that need a restart: {', '.join(unapplied)}"
         log.info("settings reloaded")
         return self._text()
 
@@ -154,6 +175,18 @@ class MainLoop:
         )
         if not self.owner.close(within_s):
             log.error("the run did not end in time; the process ends anyway", within_s=within_s)
+
+
+def keys_for_restart(started_with: Settings, settings: Settings) -> tuple[str, ...]:
+    """Return the keys that differ from the settings with which the service was started, and that it reads only then.
+
+    The service reads all others when it uses them.
+    """
+    sections = [name for name in _SECTIONS_AT_START if getattr(started_with, name) != getattr(settings, name)]
+    service = [
+        name for name in _SERVICE_AT_START if getattr(started_with.service, name) != getattr(settings.service, name)
+    ]
+    return (*sections, *(f"service.{name}" for name in service))
 
 
 def status_text(status: Status, *, hung: bool = False) -> str:

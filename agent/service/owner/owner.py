@@ -11,7 +11,7 @@ from queue import Queue
 
 import structlog
 
-from agent.errors import NotAllowedInState, PlanRefused
+from agent.errors import NotAllowedInState, PlanRefused, ResetMissing
 from agent.execution.states import RunState
 from agent.model_files import load_machine
 from agent.planning.job import Job
@@ -40,7 +40,7 @@ from agent.service.owner.unattended import minutes_until_end, require_permission
 from agent.service.state.status_board import IdleStatus
 from agent.settings.load import naming
 from agent.settings.schema import Settings
-from drivers.errors import PermissionMissing, StoreError, UserError, VolcalError
+from drivers.errors import StoreError, UserError, VolcalError
 
 log = structlog.get_logger()
 
@@ -287,7 +287,7 @@ class Owner:
         further = "start again"
         if status.unfinished is not None:
             further = f"resume run {status.unfinished} (`volcal resume`), or start a new one"
-        raise PermissionMissing(
+        raise ResetMissing(
             f"run {status.run_id} ended {status.state.value} ({cause})",
             hint=f"remove the cause, reset (`volcal reset`), then {further}",
         )

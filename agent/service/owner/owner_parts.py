@@ -106,7 +106,7 @@ class MachineAccess:
 def current_circumstances() -> Circumstances:
     """Return the local time, and the time since this computer was switched on according to the monotonic clock of
     Linux."""
-    return Circumstances(datetime.now().astimezone(), RealClock().now() / S_PER_MIN)
+    return Circumstances(datetime.now(), RealClock().now() / S_PER_MIN)
 
 
 @dataclass(frozen=True)

@@ -10,19 +10,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 
 from agent.errors import GateRefused
 from drivers.errors import PermissionMissing
 from drivers.roles import MachineStatus, MotionState
+from twin.units import S_PER_MIN
 
 MINUTES_A_DAY = 1440.0
 
 
 @dataclass(frozen=True)
 class Circumstances:
-    """Time at which a run is to be started. `now` is the local time; `up_minutes` is the time in min since the computer
-    at the machine was switched on."""
+    """Time at which a run is to be started. `now` is the local time without a time zone, so that it is that of this
+    computer, with its changes to and from summer time; `up_minutes` is the time in min since the computer at the
+    machine was switched on."""
 
     now: datetime
     up_minutes: float
@@ -40,12 +42,14 @@ def require_warm(circumstances: Circumstances, warm_up_minutes: float) -> None:
 
 
 def minutes_until_end(circumstances: Circumstances, hours: Sequence[str]) -> float | None:
-    """Return the time in min until the permitted hours end, or None if no hours are set. Raise GateRefused if the
-    present time is outside the permitted hours."""
+    """Return the time in min until the permitted hours end, or None if no hours are set. It is the time that passes
+    until the clock shows their end, also in a night in which the clock is changed. Raise GateRefused if the present
+    time is outside the permitted hours."""
     if not hours:
         return None
     now = 60.0 * circumstances.now.hour + circumstances.now.minute + circumstances.now.second / 60.0
-    left = [span - since for begins, span in map(_span, hours) if (since := (now - begins) % MINUTES_A_DAY) < span]
+    shown = [span - since for begins, span in map(_span, hours) if (since := (now - begins) % MINUTES_A_DAY) < span]
+    left = [_minutes_that_pass(circumstances.now, minutes) for minutes in shown]
     if not left:
         raise GateRefused(
             f"it is {circumstances.now:%H:%M}; unattended runs may start only within {', '.join(hours)}",
@@ -62,6 +66,15 @@ def require_permission(status: MachineStatus) -> None:
     if status.missing:
         names = ", ".join(permission.value for permission in status.missing)
         raise PermissionMissing(f"the machine does not permit motion; missing: {names}", hint="nothing was moved")
+
+
+def _minutes_that_pass(now: datetime, shown_minutes: float) -> float:
+    """Return the time in min that passes while the local clock goes on from `now` by `shown_minutes`. If the clock
+    shows that time twice, or leaves it out, the shorter of two answers is returned, but not a time before `now`."""
+    shown = now + timedelta(minutes=shown_minutes)
+    folds = (1,) if now.fold else (0, 1)
+    seconds = min(shown.replace(fold=fold).timestamp() for fold in folds) - now.timestamp()
+    return max(seconds, 0.0) / S_PER_MIN
 
 
 def _span(text: str) -> tuple[float, float]:

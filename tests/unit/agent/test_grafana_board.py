@@ -46,7 +46,7 @@ def labels(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[str]]:
         PACKML[RunState.IDLE],
         receivers=(ReceiverState("mail", 2, "fails", "away"), ReceiverState("mqtt", 0, "partial", "one")),
     )
-    gauges = live_gauges(status)
+    gauges = live_gauges(status, history_readable=True)
     assert (gauges["notices_waiting"], gauges["receivers_failing"], gauges["receivers_partial"]) == (2.0, 1.0, 1.0)
     families = text_string_to_metric_families(metrics_text("mill", RunsByDate(runs, runs, ()), trends, gauges))
     return {family.name: set(family.samples[0].labels) for family in families if family.samples}

@@ -12,6 +12,7 @@ from contextlib import closing
 from dataclasses import replace
 from datetime import date, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,13 +30,15 @@ from agent.history.cached_trends import CachedTrends
 from agent.history.database_url import DatabaseAddress, database_address
 from agent.history.dated_ahead import RunsByDate
 from agent.history.export import as_csv, as_json
+from agent.history.feed import update_history
 from agent.history.figure import draw_trends, trends_svg
 from agent.history.journal_runs import runs_until
 from agent.history.metrics import metrics_text
 from agent.history.overview import alarms_of, most_relevant, select_trends, trends_of
+from agent.history.schema import utc_time
 from agent.history.series import ACTIVE, BARE, Series, nights_of
 from agent.history.store import HistoryStore
-from agent.history.sync import sync, sync_ends
+from agent.history.sync import RunsLeftOut, sync, sync_ends, sync_missing
 from agent.history.trends import AlarmKind, trend_of
 from agent.settings.history import HistorySettings
 from agent.settings.schema import Settings
@@ -205,6 +208,31 @@ class TestFeeding:
     def test_a_journal_that_is_not_there_is_told(self, store: HistoryStore, tmp_path: Path) -> None:
         with pytest.raises(InputError, match="no journal"):
             sync(tmp_path / "nowhere", store)
+
+    @pytest.mark.parametrize(
+        "damage",
+        [
+            "INSERT INTO decisions VALUES (2, '2026-12-01T00:00:00.000Z', 'restore/activated', '{\"bank\":', 0)",
+            "UPDATE runs SET settings = '{' WHERE run = 2",
+            "UPDATE runs SET ended = '2026-1!-02T03:30:00.000Z' WHERE run = 2",
+            "UPDATE runs SET started = '2026-1!-02T02:00:00.000Z' WHERE run = 2",
+        ],
+    )
+    def test_a_run_that_cannot_be_read_keeps_no_other_run_out_of_the_history(self, state: Path, damage: str) -> None:
+        for night in range(4):
+            journaled(state, night)
+        operate(state, damage)
+        chosen = settings(state)
+        complaint = update_history(chosen, run_id(3))
+        assert complaint.startswith(f"the history is not complete: run {run_id(1)} cannot be copied to the history: ")
+        with closing(HistoryStore(database_address(chosen))) as store:
+            assert [run.run_id for run in store.runs()] == [run_id(night) for night in (0, 2, 3)]
+            journaled(state, 4)
+            assert sync_missing(state, store) == {run_id(night) for night in range(5)}
+            journaled(state, 5)
+            with pytest.raises(RunsLeftOut, match=run_id(1)):
+                sync(state, store)
+            assert [run.run_id for run in store.runs()] == [run_id(night) for night in (0, 2, 3, 4, 5)]
 
     def test_an_unknown_run_names_the_last_ones(self, state: Path) -> None:
         journaled(state, 0)
@@ -464,6 +492,29 @@ class TestExports:
         assert found["volcal_last_run_state", "complete"].value == 1.0
         assert found["volcal_trend_alarms", "trend"].value == 1.0
         assert found["volcal_last_success_timestamp_seconds", ""].value == pytest.approx(1794195000.0, abs=86400 * 40)
+
+    @pytest.mark.parametrize(
+        ("change", "verdict"),
+        [
+            ({"accepted": False}, "proof-failed"),
+            ({"kind": "verify", "accepted": None, "night": "out of limits"}, "out-of-limits"),
+            ({"kind": "restore", "accepted": None}, "restored"),
+        ],
+    )
+    def test_a_complete_run_without_a_good_verdict_is_no_success(
+        self, state: Path, store: HistoryStore, change: dict[str, Any], verdict: str
+    ) -> None:
+        fed(state, store, [3.0, 4.0])
+        good, last = store.runs()
+        runs = [good, replace(last, **change)]
+        found = {
+            (sample.name, sample.labels.get("verdict", "")): sample.value
+            for family in text_string_to_metric_families(metrics_text("mill", RunsByDate(runs, runs, ()), ()))
+            for sample in family.samples
+        }
+        assert good.ended is not None
+        assert found["volcal_last_success_timestamp_seconds", ""] == utc_time(good.ended).timestamp()
+        assert [name for (metric, name), value in found.items() if metric.endswith("verdict") and value] == [verdict]
 
 
 class TestCommands:

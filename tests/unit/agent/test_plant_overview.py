@@ -10,18 +10,27 @@ from datetime import UTC, datetime, timedelta, timezone
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
-from journaled import SETTINGS, journaled, run_id
+from journaled import SETTINGS, dated, journaled, run_id
 from sqlalchemy import inspect, make_url, text
 from volcal_command import volcal, volcal_json
 
+from agent.execution.journal import Journal
 from agent.execution.states import RunState
 from agent.history.database_url import DatabaseAddress
+from agent.history.dated_ahead import RunsByDate
+from agent.history.metrics import metrics_text
+from agent.history.overview import trends_of
 from agent.history.plant import plant_summaries
 from agent.history.schema import RUNS, RUNS_BY_START, utc_time
 from agent.history.store import HistoryStore
 from agent.history.sync import sync
 from agent.reports.plant_page import drift_text, plant_html, spark_points
+from agent.results.active_table import ActiveTableFigures, active_table_figures
+from agent.settings.history import HistorySettings
+from drivers.clock import VirtualClock
+from drivers.roles import TableImage
 
 NOW = datetime(2026, 11, 13, 2, tzinfo=UTC)
 WILD = "<mill> & co"
@@ -64,6 +73,57 @@ def test_the_latest_runs_of_each_machine_make_its_row(store: HistoryStore) -> No
     points = [tuple(map(float, point.split(","))) for point in spark_points(grows).split()]
     assert (len(points), points[0][0], points[-1][0]) == (10, 0.0, 120.0)
     assert all(later[1] < former[1] for former, later in pairwise(points))
+
+
+def restored(state: Path, night: int, bank: int, image: TableImage | None) -> None:
+    """Journal a run that has restored a stored table, or found it active already."""
+    with closing(Journal(state)) as journal:
+        run = journal.start_run(run_id(night), "restore", {**SETTINGS, "history": {"machine": "mill"}}, "1", CLOCK)
+        if image is not None or bank == 0:
+            run.table("staged", bank, image)
+        run.decision("outcome", {"table_bank": bank, "night": None})
+        run.state(RunState.COMPLETE, "as it should", final=True)
+    dated(state, night)
+
+
+OLD_TABLE = TableImage((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1e-4, np.ones((2, 2, 2, 3), dtype=np.int32))
+CLOCK = VirtualClock()
+
+
+@pytest.mark.parametrize(
+    ("bank", "image", "vce_um", "held_out_um"), [(2, OLD_TABLE, None, None), (0, None, None, None), (1, None, 9.0, 2.5)]
+)
+def test_the_figures_of_a_table_are_not_those_of_the_one_that_was_restored(
+    tmp_path: Path, bank: int, image: TableImage | None, vce_um: float | None, held_out_um: float | None
+) -> None:
+    """Bank 1 without a table: the table to be restored was active already."""
+    state = tmp_path / "state"
+    journaled(state, 0, machine="mill", ve_um=9.0)
+    restored(state, 1, bank, image)
+    with closing(HistoryStore(address(tmp_path, "mill"))) as store:
+        sync(state, store)
+        (shown,) = plant_summaries(store.recent_runs(30, NOW), NOW)
+        runs = store.runs()
+    assert (shown.verdict.name, shown.ve_um) == ("restored", 9.0)
+    assert (shown.vce_um, shown.held_out_um) == (vce_um, held_out_um)
+    metrics = metrics_text("mill", RunsByDate(runs, runs, ()), trends_of(runs, HistorySettings()))
+    told = re.findall(r'^volcal_last_ve_micrometres\{machine="mill",which="(\w+)"\} (\S+)$', metrics, re.MULTILINE)
+    expected = {"ve_bare": 9.0, "ve_acting": vce_um, "held_out": held_out_um}
+    assert {name: float(value) for name, value in told} == {k: v for k, v in expected.items() if v is not None}
+
+
+def test_a_table_that_is_restored_has_its_own_figures_again(store: HistoryStore) -> None:
+    first, second, third, *_ = store.runs("grows")
+    old = replace(first, acting_um=7.0, held_out_after_um=2.0, table_crc32="0000000a")
+    new = replace(second, acting_um=4.0, held_out_after_um=1.0, table_crc32="0000000b")
+    unmeasured = replace(third, accepted=None, acting_um=None, held_out_before_um=None, held_out_after_um=None)
+    back = replace(unmeasured, kind="restore", table_crc32="0000000a")
+    assert active_table_figures([old, new]) == ActiveTableFigures(4.0, 1.0)
+    assert active_table_figures([old, new, back]) == ActiveTableFigures(7.0, 2.0)
+    checked = replace(unmeasured, kind="verify", night="within limits", acting_um=7.5, held_out_before_um=2.5)
+    assert active_table_figures([old, new, back, checked]) == ActiveTableFigures(7.5, 2.5)
+    assert active_table_figures([old, new, back, replace(back, table_crc32="0000000b")]) == ActiveTableFigures(4.0, 1.0)
+    assert active_table_figures([]) == ActiveTableFigures()
 
 
 def test_a_run_in_progress_is_not_called_unfinished_and_its_start_is_in_utc(tmp_path: Path) -> None:

@@ -190,5 +190,6 @@ def test_the_thermal_commands_leave_the_run_out_and_name_it(
 def dated(night: int, started: datetime) -> RecentRun:
     figures = dict.fromkeys(("ve_before_um", "ve_before_sigma_um", "acting_um", "held_out_before_um"), 1.0)
     return RecentRun(
-        "mill", run_id(night), "calibrate", started, None, "measuring", None, None, **figures, held_out_after_um=None
-    )
+        "mill", run_id(night), "calibrate", started, None, "measuring", None, None, **figures, held_out_after_um=None,
+        table_bank=None, table_crc32=None,
+    )  # fmt: skip

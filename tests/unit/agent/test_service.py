@@ -9,7 +9,9 @@ import os
 import signal
 import socket
 import threading
+import time
 import zipfile
+from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
 from queue import SimpleQueue
@@ -19,7 +21,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from service_house import PATIENCE_S, READY_MACHINE, house, settings_document
 
-from agent.errors import Aborted, Busy, GateRefused
+from agent.cli.service_commands.start import DECLINED
+from agent.errors import Aborted, Busy, GateRefused, ResetMissing
 from agent.execution.journal import Journal
 from agent.execution.run_state import Announcement
 from agent.execution.states import RunState
@@ -35,6 +38,7 @@ from agent.service.daemon.sd_notify import Notifier
 from agent.service.http.diagnostics import diagnostics_zip
 from agent.service.http.problems import problem_of
 from agent.service.owner.health import Health
+from agent.service.owner.owner_parts import current_circumstances
 from agent.service.owner.questions import Questions, ServiceOperator
 from agent.service.owner.run_hooks import RunHooksFactory
 from agent.service.owner.run_mailbox import RunMailbox
@@ -91,6 +95,41 @@ def test_what_is_left_is_counted_minute_by_minute(begin, end, now) -> None:
     while ((now + walked) % 1440 in open_minutes and (now + walked) % 1440 != end) or walked == 0:
         walked += 1
     assert minutes_until_end(circumstances, [span]) == walked
+
+
+@pytest.fixture
+def berlin(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setenv("TZ", "Europe/Berlin")
+    time.tzset()
+    yield
+    monkeypatch.undo()
+    time.tzset()
+
+
+@pytest.mark.usefixtures("berlin")
+@pytest.mark.parametrize(
+    ("now", "fold", "hours", "left"),
+    [
+        ("2026-03-29T01:00", 0, "22:00-05:30", 210.0),  # the clock goes from 02:00 to 03:00
+        ("2026-03-28T22:00", 0, "22:00-05:30", 390.0),
+        ("2026-03-29T04:00", 0, "22:00-05:30", 90.0),
+        ("2026-03-29T01:00", 0, "22:00-02:30", 30.0),  # the clock never shows 02:30
+        ("2026-10-25T01:00", 0, "22:00-05:30", 330.0),  # the clock goes from 03:00 to 02:00
+        ("2026-10-25T02:15", 0, "22:00-02:30", 15.0),
+        ("2026-10-25T02:15", 1, "22:00-02:30", 15.0),
+        ("2026-10-25T02:15", 1, "22:00-05:30", 195.0),
+        ("2026-06-01T01:00", 0, "22:00-05:30", 270.0),
+    ],
+)
+def test_the_hours_end_by_the_clock_also_in_a_night_in_which_it_is_changed(now, fold, hours, left) -> None:
+    begin = datetime.fromisoformat(now).replace(fold=fold)
+    assert minutes_until_end(Circumstances(begin, 600.0), [hours]) == left
+
+
+@pytest.mark.usefixtures("berlin")
+def test_the_service_knows_the_local_time_with_its_changes() -> None:
+    """A time with a fixed difference from UTC would not know of the change."""
+    assert current_circumstances().now.tzinfo is None
 
 
 def test_a_machine_that_was_just_switched_on_is_left_alone() -> None:
@@ -353,8 +392,10 @@ def test_after_a_power_cut_the_status_has_what_the_journal_holds_and_names_the_w
         assert (left.state, left.run_id, left.balls, left.touches) == (RunState.FAULTED, "run-1", 27, 1)
         assert left.started is not None
         assert "`volcal resume` then resumes run run-1" in left.alarms[0].hint
-        with pytest.raises(PermissionMissing) as refused:
+        with pytest.raises(ResetMissing) as refused:
             built.owner.start(NIGHTLY)
+        assert refused.value.exit_code != DECLINED
+        assert type(error_of(problem_of(refused.value).model_dump())) is ResetMissing
         assert "reset (`volcal reset`), then resume run run-1 (`volcal resume`)" in refused.value.hint
         built.owner.reset()
         assert (built.owner.status().balls, built.owner.status().started) == (0, None)
@@ -442,6 +483,61 @@ def test_settings_are_read_after_the_run_only(tmp_path: Path, monkeypatch: pytes
         built.puppet.end(RunState.COMPLETE)
         thread.join(PATIENCE_S)
     assert len(loaded) == 1
+
+
+def test_settings_that_were_read_while_a_run_began_are_read_again_after_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    signals = SimpleQueue[int]()
+    changed = Settings.model_validate(settings_document(tmp_path, nightly={"slot_minutes": 20.0}))
+    loaded: list[Path] = []
+    with house(tmp_path) as built:
+
+        class EndingTheRun(Told):
+            """Ends the run once it is told that the settings wait for its end."""
+
+            def send(self, **assignments: str | int) -> None:
+                super().send(**assignments)
+                status = str(assignments.get("STATUS"))
+                if "after the run" in status or status.startswith("settings not reloaded"):
+                    built.puppet.end(RunState.COMPLETE)
+                if status.startswith("settings not reloaded"):
+                    signals.put(signal.SIGTERM)
+
+        def load(config: Path) -> Settings:
+            loaded.append(config)
+            if len(loaded) == 1:
+                built.owner.start(NIGHTLY)
+                built.puppet.begun()
+            else:
+                signals.put(signal.SIGTERM)
+            return changed
+
+        monkeypatch.setattr("agent.service.daemon.main_loop.load_settings", load)
+        signals.put(signal.SIGHUP)
+        MainLoop(built.owner, built.parts.health, EndingTheRun(), signals, tmp_path / "volcal.toml").run()
+        assert (len(loaded), built.owner.settings.nightly.slot_minutes) == (2, 20.0)
+
+
+def test_a_reload_names_the_changes_that_need_a_restart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told, signals = Told(), SimpleQueue[int]()
+    service = {"port": 8600, "hours": ["22:00-05:00"]}
+    mail = {"host": "mail.example", "sender": "mill@example.org", "to": ["meister@example.org"]}
+    documents = [
+        settings_document(tmp_path, service=service, notifications={"mail": mail}, gateway={"enabled": True}),
+        settings_document(tmp_path, service={"hours": ["22:00-05:00"]}),
+    ]
+    with house(tmp_path) as built:
+        monkeypatch.setattr(
+            "agent.service.daemon.main_loop.load_settings", lambda _: Settings.model_validate(documents.pop(0))
+        )
+        for number in (signal.SIGHUP, signal.SIGHUP, signal.SIGTERM):
+            signals.put(number)
+        MainLoop(built.owner, built.parts.health, told, signals, tmp_path / "volcal.toml").run()
+        assert built.owner.settings.service.hours == ["22:00-05:00"]
+    part, whole = [m["STATUS"] for m in told.messages if m.get("READY")][1:]
+    assert part == "settings reloaded, except those that need a restart: notifications, gateway, service.port"
+    assert "restart" not in str(whole)
 
 
 # ---------------------------------------------------------------------- events

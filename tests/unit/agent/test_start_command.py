@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from agent.cli.service_commands.start import begun
-from agent.errors import Busy, GateRefused
+from agent.errors import Busy, GateRefused, ResetMissing
 from agent.service.client import Document
 from drivers.errors import CommandRejected, LinkLost, PermissionMissing, VolcalError
 
@@ -31,7 +31,7 @@ def test_a_start_refused_for_now_has_an_exit_code_of_its_own(
     assert "not now" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("kind", [LinkLost, CommandRejected])
+@pytest.mark.parametrize("kind", [LinkLost, CommandRejected, ResetMissing])
 def test_every_other_error_keeps_its_exit_code(kind: type[VolcalError]) -> None:
     with pytest.raises(kind):
         begun(Answering(kind("gone")), {})  # type: ignore[arg-type]
