@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -262,6 +263,14 @@ class TestDevice:
         told = {name: value for name, value in STATUS.items() if name != "tripped"}
         with pytest.raises(ProtocolError, match="status cannot be read"):
             make(script(status=[{"ok": told}])).status()
+
+    @pytest.mark.parametrize("name", ["position", "probed", "eoffset", "program_offset"])
+    @pytest.mark.parametrize("value", [math.nan, math.inf])
+    def test_position_that_is_no_number_is_none(self, make: Make, name: str, value: float) -> None:
+        device = make(script(status=[look(**{name: [1.0, value, 3.0]})]))
+        for request in (device.position, lambda: device.move_to(TARGET, feed_mm_per_s=1.0, guarded=True)):
+            with pytest.raises(ProtocolError, match="no number"):
+                request()
 
     def test_motion_that_never_ends_expires_and_is_aborted(self, make: Make) -> None:
         told = script(
