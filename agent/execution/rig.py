@@ -35,6 +35,7 @@ from drivers.roles import (
     AxisHoming,
     CompensationStore,
     Device,
+    HoldableMount,
     HomingDirections,
     ImpairableDevice,
     Machine,
@@ -132,6 +133,24 @@ class Rig:
             except DeviceError as error:
                 complaints.append(str(error.at(device=name)))
         return complaints
+
+    def hold(self) -> None:
+        """Hold the motion in progress, of the axes or of a mount. Called from inside a sleep of the clock."""
+        self.machine.hold()
+        for mount in self._holdable_mounts:
+            mount.hold_turn()
+
+    def resume(self) -> None:
+        """Continue a held motion. Called from inside a sleep of the clock."""
+        for mount in self._holdable_mounts:
+            mount.resume_turn()
+        self.machine.resume()
+
+    @property
+    def _holdable_mounts(self) -> list[HoldableMount]:
+        """Mounts whose turn can be held, each once though it may serve several stations."""
+        different = {id(mount): mount for mount in self.mounts.values()}
+        return [mount for mount in different.values() if isinstance(mount, HoldableMount)]
 
     def link_interruptions(self) -> dict[str, int]:
         """Return the number of interruptions of the link from which each device has recovered, by device name."""
