@@ -6,6 +6,7 @@ target. All drivers therefore compare the position reported after a motion with 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 from drivers.errors import MotionFault
@@ -36,7 +37,8 @@ def require_reached(
     limit. `where` is added to its locations.
     """
     deviations = [one - other for one, other in zip(reported, target, strict=True)]
-    index = max(range(len(deviations)), key=lambda number: abs(deviations[number]))
+    # A deviation that is no number is larger than any other; `max` alone would pass over it.
+    index = max(range(len(deviations)), key=lambda number: _size(deviations[number]))
     deviation = deviations[index]
     if abs(deviation) <= limit + ROUNDING:
         return
@@ -49,3 +51,7 @@ def require_reached(
         "error of the axis, and that the displayed position does not contain the active correction",
         **{**where, "axis": axes[index]},
     )
+
+
+def _size(deviation: float) -> float:
+    return math.inf if math.isnan(deviation) else abs(deviation)

@@ -300,6 +300,18 @@ class RotaryMount(Protocol):
 
 
 @runtime_checkable
+class HoldableMount(Protocol):
+    """Rotary mount whose turn can be held and continued.
+
+    Both methods are called from inside a sleep of the clock, and do nothing if no turn is in progress.
+    """
+
+    def hold_turn(self) -> None: ...
+
+    def resume_turn(self) -> None: ...
+
+
+@runtime_checkable
 class MultiStationMount(Protocol):
     """Device that serves one mount at each of several stations, the places of a mount along the machine's long axis
     (counted from 1).

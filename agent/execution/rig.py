@@ -20,7 +20,7 @@ from agent.errors import Aborted, MeasurementFault
 from agent.execution import steps as s
 from agent.execution.engine import Action
 from agent.execution.tip_trace import LastMotion
-from drivers.clock import Clock, Deadline
+from drivers.clock import Clock, Deadline, without_interrupts
 from drivers.errors import (
     CommandRejected,
     ConfigurationError,
@@ -35,6 +35,7 @@ from drivers.roles import (
     AxisHoming,
     CompensationStore,
     Device,
+    HoldableMount,
     HomingDirections,
     ImpairableDevice,
     Machine,
@@ -68,6 +69,11 @@ ACTIVATION_INSTRUCTION = {
 STANDSTILL_WITHIN_S = 10.0
 """Longest wait for standstill; ample, since braking from 20 m/min at 0.5 m/s² takes 0.7 s."""
 STANDSTILL_POLL_S = 0.05
+PAUSE_S = 2.0
+"""Pause in s between two motions after which it is checked that the axes still stand where the first one has ended. A
+person needs longer to take over the machine, jog its axes and give it back."""
+MOVED_MM = 1.0
+"""Largest distance in mm from where the last motion has ended; it is the clearance for which the paths are proved."""
 
 
 @dataclass
@@ -89,6 +95,7 @@ class Rig:
     clock: Clock
     last_motion: LastMotion = field(default_factory=LastMotion)
     _open: list[str] = field(default_factory=list)
+    _rests_since_s: float = -math.inf
 
     def open(self) -> None:
         """Open every device.
@@ -126,6 +133,24 @@ class Rig:
             except DeviceError as error:
                 complaints.append(str(error.at(device=name)))
         return complaints
+
+    def hold(self) -> None:
+        """Hold the motion in progress, of the axes or of a mount. Called from inside a sleep of the clock."""
+        self.machine.hold()
+        for mount in self._holdable_mounts:
+            mount.hold_turn()
+
+    def resume(self) -> None:
+        """Continue a held motion. Called from inside a sleep of the clock."""
+        for mount in self._holdable_mounts:
+            mount.resume_turn()
+        self.machine.resume()
+
+    @property
+    def _holdable_mounts(self) -> list[HoldableMount]:
+        """Mounts whose turn can be held, each once though it may serve several stations."""
+        different = {id(mount): mount for mount in self.mounts.values()}
+        return [mount for mount in different.values() if isinstance(mount, HoldableMount)]
 
     def link_interruptions(self) -> dict[str, int]:
         """Return the number of interruptions of the link from which each device has recovered, by device name."""
@@ -193,7 +218,7 @@ class Rig:
             s.MoveTo: move,
             s.Retrace: retrace,
             s.TouchTowards: touch,
-            s.HomeMount: lambda step: self.mounts[step.station].home(),
+            s.HomeMount: self._home_mount,
             s.HomeAxes: home,
             s.OrientTo: self._orient,
             s.ReadTemperatures: self._read_temperatures,
@@ -209,7 +234,7 @@ class Rig:
             s.AwaitActive: self._await_active,
             s.ReadTable: lambda step: self.store.read_table(step.bank) if step.bank else None,
             s.StageTable: lambda step: self.store.stage(step.bank, step.table),
-            s.ActivateBank: lambda step: self.store.activate(step.bank),
+            s.ActivateBank: self._activate,
         }
 
     def _step_announcer(self, run: int) -> Callable[[str], None]:
@@ -224,10 +249,38 @@ class Rig:
         return announce if traced else _announce_nothing
 
     def _move(self, step: s.MoveTo) -> None:
+        self._require_unmoved()
         self.last_motion.begin(step.target_mm, touch=False)
         with self._faults_told():
             self.machine.move_to(np.array(step.target_mm), feed_mm_per_s=step.feed_mm_per_s, guarded=step.guarded)
-        self.last_motion.end(step.target_mm)
+        self._end_motion(step.target_mm)
+
+    def _end_motion(self, at: s.Point) -> None:
+        self.last_motion.end(at)
+        self._rests_since_s = self._now_s()
+
+    def _now_s(self) -> float:
+        """Return the time in s, which goes on during a hold of the run."""
+        return without_interrupts(self.clock).now()
+
+    def _require_unmoved(self) -> None:
+        """Raise MotionFault if the axes do not stand where the last motion has ended, after a pause of the run: on
+        hold, while the artefact settled, or while a mount turned.
+
+        Every motion is proved from the end of the one before. From anywhere else, it may lead into the artefact.
+        """
+        if self._now_s() - self._rests_since_s < PAUSE_S:
+            return
+        moved_mm = self.last_motion.moved_mm(self.machine.position())
+        if moved_mm <= MOVED_MM:
+            return
+        self.last_motion.forget_stand()  # the withdrawal of the probe begins at the position that it reads itself
+        raise MotionFault(
+            f"the axes stand {moved_mm:.1f} mm from where their last motion has ended: something else has moved them "
+            "since, or the display has changed",
+            hint="do not move the axes while a run is in progress, not even on hold; check where they stand, then "
+            "continue with `volcal resume`, which first withdraws the probe along the stylus",
+        )
 
     @contextmanager
     def _faults_told(self) -> Iterator[None]:
@@ -265,13 +318,19 @@ class Rig:
         self.machine.home_axes()
 
     def _touch(self, step: s.TouchTowards) -> Touch | Miss:
+        self._require_unmoved()
         self.last_motion.begin(step.target_mm, touch=True)
         with self._faults_told():
             result = self.probe.touch_towards(np.array(step.target_mm), feed_mm_per_s=step.feed_mm_per_s)
-        self.last_motion.end(result.position_mm)
+        self._end_motion(result.position_mm)
         return result
 
+    def _home_mount(self, step: s.HomeMount) -> None:
+        self._require_unmoved()
+        self.mounts[step.station].home()
+
     def _orient(self, step: s.OrientTo) -> Orientation:
+        self._require_unmoved()
         return self.mounts[step.station].orient_to(step.azimuth_deg, step.elevation_deg)
 
     def _read_position(self, _: s.ReadPosition) -> s.Point:
@@ -305,6 +364,10 @@ class Rig:
         ):
             if not given:
                 raise MeasurementFault(f"{text} {status.detail}".strip(), hint=hint)
+
+    def _activate(self, step: s.ActivateBank) -> None:
+        self.last_motion.forget_stand()
+        self.store.activate(step.bank)
 
     def _await_active(self, step: s.AwaitActive) -> None:
         if self.store.pending_bank() == step.bank:

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
-from agent.execution.steps import AskOperator, CheckPermissions, MoveTo, OrientTo, Plan, Point
+import numpy as np
+
+from agent.execution.steps import AskOperator, CheckPermissions, MoveTo, OrientTo, Plan, Point, ReadPosition
 from drivers.roles import OperatorRequest, OperatorTask
 from twin.arrays import Array
 
@@ -61,7 +63,8 @@ def change_station(
     """Park the mount of the station `leaving`, ask the operator to carry the mount or the artefact, and check that
     motion is permitted. The operator is not asked if nothing has to be carried.
 
-    The probe may start at any place clear of all bodies. The result is the axis positions (3,) at the end.
+    The probe may start at any place clear of all bodies. The result is the axis positions (3,) at the end. They are
+    read after the question, because a person who carries a mount may have jogged the axes to make room.
     """
     if leaving is not None and change.own_mounts:
         here = yield from park_mounts(prefix, f"change-{index}", change, locations, here, (leaving,))
@@ -70,7 +73,7 @@ def change_station(
     request = OperatorRequest(OperatorTask.MOVE_ARTEFACT, change.carried.value.format(to), to)
     yield AskOperator(f"{prefix}/carry-{index}-to-station-{to}", request)
     yield CheckPermissions(f"{prefix}/carry-{index}/permissions")
-    return here
+    return np.array((yield ReadPosition(f"{prefix}/carry-{index}/here")))
 
 
 def park_mounts(

@@ -139,14 +139,14 @@ def run_resources(
 @contextmanager
 def open_rig(context: RunContext) -> Iterator[None]:
     """Open the rig for the `with` block; during the block the run's supervisor can hold and resume the motion of the
-    machine.
+    machine and of its mounts.
 
     Errors that occur when the rig is closed are recorded as notes on the run.
     """
     rig, tracker = context.rig, context.tracker
 
     def hold() -> None:
-        rig.machine.hold()
+        rig.hold()
         tracker.hold()
 
     def brake() -> None:
@@ -158,7 +158,7 @@ def open_rig(context: RunContext) -> Iterator[None]:
         check()  # after an abort the axes do not start again
 
     def resume() -> None:
-        rig.machine.resume()
+        rig.resume()
         tracker.resume()
 
     rig.open()

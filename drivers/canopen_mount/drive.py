@@ -20,7 +20,7 @@ from drivers.canopen_mount.node import DriveNode, NodeMonitor
 from drivers.canopen_mount.scale import turn_duration_s
 from drivers.canopen_mount.settings import AxisSettings, HomingSettings
 from drivers.canopen_mount.states import ENABLE_TRANSITIONS, DriveState, StateTransition, drive_state
-from drivers.clock import Clock, Deadline
+from drivers.clock import Clock, Deadline, without_interrupts
 from drivers.errors import CommandRejected, DeadlineExpired, MotionFault, ProtocolError
 
 POLL_S = 0.02
@@ -183,18 +183,32 @@ class Drive:
         start = self.node.read(objects.POSITION)
         self._direction = (self._target > start) - (self._target < start)
         self.node.write(objects.TARGET_POSITION, self._target)
-        self.node.write(objects.CONTROLWORD, states.NEW_SET_POINT)
-        self._await(
-            "the set-point to be acknowledged (statusword bit 12)",
-            lambda: bool(self._statusword_in_motion() & states.SET_POINT_ACKNOWLEDGE),
-            HANDSHAKE_S,
-        )
-        self.node.write(objects.CONTROLWORD, states.ENABLE_OPERATION)
+        self._give_set_point()
         return turn_duration_s(
             angle_deg - self._scale.angle_deg(start),
             self.settings.speed_deg_per_s,
             self.settings.acceleration_deg_per_s2,
         )
+
+    def _give_set_point(self) -> None:
+        self.node.write(objects.CONTROLWORD, states.NEW_SET_POINT)
+        self._await_handshake(
+            "the set-point to be acknowledged (statusword bit 12)",
+            lambda: bool(self._statusword_in_motion() & states.SET_POINT_ACKNOWLEDGE),
+        )
+        self.node.write(objects.CONTROLWORD, states.ENABLE_OPERATION)
+
+    def hold_turn(self) -> None:
+        """Brake the turn in progress. Does nothing if the drive is not enabled, since the command would enable it."""
+        if self.state() is DriveState.OPERATION_ENABLED:
+            self.node.write(objects.CONTROLWORD, states.HALT)
+
+    def resume_turn(self) -> None:
+        """Continue a held turn to its target. The set-point is given again, because drives differ in whether they
+        continue by themselves. Raises the same errors as `turn_ended`."""
+        self._statusword_in_motion()
+        self.node.write(objects.CONTROLWORD, states.ENABLE_OPERATION)
+        self._give_set_point()
 
     def turn_ended(self) -> bool:
         """Poll the drive once and return True if the target of the turn is reached.
@@ -376,17 +390,22 @@ class Drive:
     def _enter_mode(self, mode: int) -> None:
         self._mode = None
         self.node.write(objects.MODE, mode)
-        self._await(
-            f"mode of operation {mode} (0x6061)",
-            lambda: self.node.read(objects.MODE_DISPLAY) == mode,
-            HANDSHAKE_S,
+        self._await_handshake(
+            f"mode of operation {mode} (0x6061)", lambda: self.node.read(objects.MODE_DISPLAY) == mode
         )
         self._mode = mode
 
+    def _await_handshake(self, awaited: str, arrived: Callable[[], bool]) -> None:
+        """Wait for an answer of the drive. A hold takes effect only after it, when both axes turn and can be held."""
+        self._await_on(without_interrupts(self._clock), awaited, arrived, HANDSHAKE_S)
+
     def _await(self, awaited: str, arrived: Callable[[], bool], within_s: float) -> None:
-        deadline = Deadline.after(self._clock, within_s)
+        self._await_on(self._clock, awaited, arrived, within_s)
+
+    def _await_on(self, clock: Clock, awaited: str, arrived: Callable[[], bool], within_s: float) -> None:
+        deadline = Deadline.after(clock, within_s)
         while not arrived():
             deadline.raise_if_expired(
                 awaited, hint="check the drive's enable inputs and its display", **self.node.where
             )
-            self._clock.sleep(POLL_S)
+            clock.sleep(POLL_S)

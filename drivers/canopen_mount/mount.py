@@ -45,6 +45,7 @@ class CanopenMount:
         self._link: CanLink | None = None
         self._drives: tuple[Drive, ...] = ()
         self._look_only = False
+        self._turning = False
 
     def open(self) -> None:
         """Connect to the bus, verify the identity and the units of both drives, and start their heartbeats.
@@ -174,12 +175,25 @@ class CanopenMount:
             for drive in drives:
                 drive.enable()
             durations = [drive.start_turn(target) for drive, target in zip(drives, targets, strict=True)]
-            self._await_end_of_turn(max(durations))
+            self._turning = True
+            try:
+                self._await_end_of_turn(max(durations))
+            finally:
+                self._turning = False
             self._clock.sleep(self._settings.settle_s)
             return self._settled(targets)
         except BaseException as error:
             self._stop_after_error(error)
             raise
+
+    def hold_turn(self) -> None:
+        """Brake the turn of both axes. Does nothing if no turn is in progress; a homing cannot be held."""
+        for drive in self._drives if self._turning else ():
+            drive.hold_turn()
+
+    def resume_turn(self) -> None:
+        for drive in self._drives if self._turning else ():
+            drive.resume_turn()
 
     def orientation(self) -> Orientation:
         azimuth, elevation = self._require_open()

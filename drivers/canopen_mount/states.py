@@ -55,6 +55,8 @@ Therefore a controlword with bit 7 clear is written first.
 # Change immediately: a new target takes effect at once, not at the end of the present motion.
 NEW_SET_POINT = ENABLE_OPERATION | 0x0030
 """Controlword of a new set-point: bit 4 (new set-point) and bit 5 (change immediately) set, bit 6 clear (absolute)."""
+HALT = ENABLE_OPERATION | 0x0100
+"""Controlword that brakes the motion in progress (bit 8); the drive stays in *operation enabled*."""
 START_HOMING = ENABLE_OPERATION | 0x0010
 
 

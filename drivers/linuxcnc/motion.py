@@ -243,7 +243,7 @@ class LinuxCncMotion:
         except BaseException as error:
             self._stop_because_of(error)
             raise
-        self._require_success(kind, ended, target, messages)
+        self._require_success(kind, before.position, ended, target, messages)
         return ended
 
     def _wait(
@@ -333,7 +333,9 @@ class LinuxCncMotion:
 
     # ------------------------------------------------------------------ after
 
-    def _require_success(self, kind: MdiMotionKind, ended: Snapshot, target: Triple, messages: tuple[str, ...]) -> None:
+    def _require_success(
+        self, kind: MdiMotionKind, start: Triple, ended: Snapshot, target: Triple, messages: tuple[str, ...]
+    ) -> None:
         where = self._session.where
         text = "; ".join(messages)
         if ended.fault:
@@ -344,7 +346,7 @@ class LinuxCncMotion:
             )
         if ended.abandoned:
             raise MotionFault(f"the bridge stopped a {kind.value}: no status query came in time", **where)
-        if kind is MdiMotionKind.TOUCH and ended.tripped:
+        if kind is MdiMotionKind.TOUCH and ended.tripped and self._has_come_to_latch(start, ended, target):
             return
         if TRIP_MESSAGE_PART in text:
             raise self._guard_tripped(kind, ended)
@@ -355,6 +357,16 @@ class LinuxCncMotion:
             )
         what = f"{kind.value} ({text or 'probably stopped at the machine'})"
         require_reached(ended.position, target, self._session.settings.position_tolerance_mm, what, where)
+
+    def _has_come_to_latch(self, start: Triple, ended: Snapshot, target: Triple) -> bool:
+        """Return True if the axes have travelled as far as the latched position.
+
+        LinuxCNC clears its flag of a trip only when it begins a touch. If it refuses the touch, or a person stops it
+        before it begins, the flag and the latched position are those of an earlier touch.
+        """
+        path = np.subtract(target, start)
+        beyond_mm = float(np.subtract(ended.position, ended.probed) @ path) / float(np.linalg.norm(path))
+        return beyond_mm >= -self._session.settings.position_tolerance_mm
 
     def _guard_tripped(self, kind: MdiMotionKind, ended: Snapshot) -> MotionFault:
         """Return the error for a trip in a move. LinuxCNC has stopped and is ready again, so no reset is needed."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -80,11 +81,12 @@ class Snapshot:
 def parse_snapshot(status: dict[str, Any], mm_per_unit: float, where: dict[str, str]) -> Snapshot:
     """Convert the answer of the bridge process to the request "status" into a snapshot.
 
-    Raises ProtocolError if a field is missing or invalid.
+    Raises ProtocolError if a field is missing or invalid, or if a position is not a number: kinematics and external
+    offsets may give NaN.
     """
     try:
         offset = status["eoffset"]
-        return Snapshot(
+        snapshot = Snapshot(
             position=_subtract_offset(status["position"], offset, mm_per_unit),
             probed=_subtract_offset(status["probed"], offset, mm_per_unit),
             deflected=status["probe"],
@@ -99,8 +101,18 @@ def parse_snapshot(status: dict[str, Any], mm_per_unit: float, where: dict[str, 
         )
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise ProtocolError(f"the bridge's status cannot be read: {cause_of(error)}", **where) from error
+    for name in _POSITIONS:
+        values: Triple = getattr(snapshot, name)
+        if not all(map(math.isfinite, values)):
+            raise ProtocolError(
+                f"LinuxCNC reports a position that is no number: {name} {values}",
+                hint="check the kinematics, the external offsets (axis.x.eoffset) and the position feedback in HAL",
+                **where,
+            )
+    return snapshot
 
 
+_POSITIONS = ("position", "probed", "program_offset")
 _COPIED_FIELDS = (
     "tripped",
     "task_state",

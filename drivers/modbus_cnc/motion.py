@@ -82,19 +82,27 @@ class ModbusMotion:
         except BaseException as error:
             self._stop_because_of(error)
             raise
+        try:
+            self._require_own_outcome(sequence, status)
+            self._require_success(code, status)
+            self._require_reached(code, target, status)
+        except DeviceError as error:
+            if status.state is MotionState.MOVING:  # what the controller says of the end is not true
+                self._stop_because_of(error)
+            raise
+        if status.outcome is MotionOutcome.TRIPPED:
+            self._trips_mm[_rounded_length(accepted.position, target)] = math.dist(accepted.position, status.latched)
+        return ModbusMotionResult(accepted.position, status)
+
+    def _require_own_outcome(self, sequence: int, status: StatusImage) -> None:
         if status.motion_sequence == 0:
             raise MotionFault(
                 f"the controller has forgotten motion {sequence}, which it had begun: it was restarted",
                 hint="reference the axes, then continue with `volcal resume`",
-                **session.where,
+                **self._session.where,
             )
         if status.motion_sequence != sequence:
             raise self._protocol_error(f"started motion {sequence}, but motion {status.motion_sequence} ended")
-        self._require_success(code, status)
-        self._require_reached(code, target, status)
-        if status.outcome is MotionOutcome.TRIPPED:
-            self._trips_mm[_rounded_length(accepted.position, target)] = math.dist(accepted.position, status.latched)
-        return ModbusMotionResult(accepted.position, status)
 
     def _start(self, code: CommandCode, target: Triple, feed_mm_per_s: float | None) -> tuple[int, StatusImage]:
         """Send a motion command and return its sequence number and the status after its acknowledgement.

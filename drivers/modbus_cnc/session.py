@@ -32,6 +32,8 @@ from drivers.roles import MotionState
 
 # The controller writes an image within one cycle, so a second read normally finds it complete.
 HALF_WRITTEN_READS = 5
+MOST_OVERTAKEN = 4
+"""Number of commands without an acknowledgement that are remembered; a stop and its repetitions overtake no more."""
 URGENT_WITHIN_S = 1.0
 """Wall-clock time within which HOLD, RESUME and STOP must be acknowledged."""
 
@@ -59,11 +61,17 @@ class ModbusSession:
         self._results: dict[int, int] = {}
         self._unacknowledged = 0
         self._acknowledged = 0
+        self._overtaken: list[int] = []
+        """Numbers of commands that were not acknowledged when a later one was sent, or when the link was lost. The
+        controller may still take them."""
         self._interruptions_at_send = 0
 
     def open(self, *, look_only: bool = False, tables: bool = False) -> StatusImage:
         """Connect, verify protocol and version of the register map, and continue from the sequence number that the
         controller last acknowledged.
+
+        A number that this session has sent is not used again, as the controller may take that command only now: it
+        would ignore another command with the same number, and its acknowledgement would be taken for that of the other.
 
         If the controller is in a fault only because the heartbeat of an earlier session was lost, the fault is cleared.
         If `look_only` is True, nothing is written, so the fault remains, and all commands are refused. With `tables`,
@@ -72,7 +80,9 @@ class ModbusSession:
         with self.reconnection.suspended():
             self.link.open(look_only=look_only, selectors=self.settings.blocks.selectors() if tables else ())
             status = self.read_status_unchecked()
-        self._sequence, self._unacknowledged = status.acknowledge, 0
+        self._note_unacknowledged()
+        if status.acknowledge not in (self._acknowledged, *self._overtaken) or self._has_restarted(status):
+            self._sequence, self._overtaken = status.acknowledge, []
         self._acknowledged = status.acknowledge
         self._results = {status.acknowledge: status.result}
         if not look_only and status.state is MotionState.FAULT and status.fault_code == FAULT_HEARTBEAT_LOST:
@@ -169,7 +179,7 @@ class ModbusSession:
         """Raise ProtocolError if the controller behind a restored link is not in the state in which it was left."""
         status = self.read_status_unchecked()
         # Another number means that another master has sent commands, or that the controller has restarted.
-        if status.acknowledge not in (self._acknowledged, self._unacknowledged or self._acknowledged):
+        if status.acknowledge not in (self._acknowledged, self._unacknowledged or self._acknowledged, *self._overtaken):
             raise self._foreign_sequence(status.acknowledge)
 
     def _send(self, command: CommandBlock, sequence: int) -> StatusImage:
@@ -181,6 +191,7 @@ class ModbusSession:
                 hint="set number to float64, or use a larger number_scale",
                 **self.where,
             ) from error
+        self._note_unacknowledged()
         self._unacknowledged = sequence
         self._interruptions_at_send = self.reconnection.count
         try:
@@ -195,6 +206,12 @@ class ModbusSession:
         # The request was lost, so send it again. If it did arrive: no number is executed twice (map, section 6).
         self._interruptions_at_send = self.reconnection.count
         return self.write_and_read_status(self.settings.blocks.command, block, idempotent=True)
+
+    def _note_unacknowledged(self) -> None:
+        """Note that the last command may still be taken, although it is not waited for any longer."""
+        if self._unacknowledged:
+            self._overtaken = [*self._overtaken, self._unacknowledged][-MOST_OVERTAKEN:]
+            self._unacknowledged = 0
 
     def _await_without_sleeping(self, sequence: int, code: CommandCode) -> StatusImage:
         give_up_s = wall_seconds() + URGENT_WITHIN_S
@@ -232,16 +249,21 @@ class ModbusSession:
         if status.acknowledge == self._unacknowledged != 0:
             self._results[status.acknowledge] = status.result
             self._acknowledged, self._unacknowledged = status.acknowledge, 0
+            self._overtaken.clear()  # the controller handles one number at a time, and this one came last
             # a STOP may overtake a command, so a few earlier results are still asked for; older ones never are
             while len(self._results) > 4:
                 del self._results[next(iter(self._results))]
+        elif status.acknowledge in self._overtaken:
+            self._results[status.acknowledge] = status.result
+            self._acknowledged = status.acknowledge
+            self._overtaken.remove(status.acknowledge)
         elif status.acknowledge not in self._results or self._has_restarted(status):
             raise self._foreign_sequence(status.acknowledge)
         return status
 
     def _is_own(self, status: StatusImage) -> bool:
         """Return True if the image acknowledges a command of this session, or if no session is open yet."""
-        known = not self._results or status.acknowledge in (*self._results, self._unacknowledged)
+        known = not self._results or status.acknowledge in (*self._results, self._unacknowledged, *self._overtaken)
         return known and not self._has_restarted(status)
 
     def _has_restarted(self, status: StatusImage) -> bool:

@@ -43,9 +43,9 @@ class Held:
         self.supervisor = Supervisor(self.inner)
         self.machine: Any = Machine(self.inner, braking_s)
         clock = InterruptibleClock(self.inner, self.supervisor.check)
-        rig = Rig({}, self.machine, self.machine, {}, self.machine, self.machine, self.machine, clock)
+        self.rig = Rig({}, self.machine, self.machine, {}, self.machine, self.machine, self.machine, clock)
         tracker = SimpleNamespace(hold=lambda: None, resume=lambda: None, note=None)
-        self._context: Any = SimpleNamespace(rig=rig, tracker=tracker, supervisor=self.supervisor)
+        self._context: Any = SimpleNamespace(rig=self.rig, tracker=tracker, supervisor=self.supervisor)
         self._clock = clock
         self.inner.subscribe(self._ask)
 
@@ -107,3 +107,21 @@ def test_a_link_that_is_being_restored_does_not_delay_the_resumption() -> None:
     held.machine.lost = True
     held.wait()
     assert held.machine.told[1][1] == pytest.approx(RESUME_S, abs=2.0 * STANDSTILL_POLL_S)
+
+
+def test_a_turn_of_a_mount_is_held_and_resumed_once_though_it_serves_two_stations() -> None:
+    held = Held(0.7)
+    told: list[tuple[str, float]] = []
+
+    class Mount:
+        def hold_turn(self) -> None:
+            told.append(("hold", held.inner.now()))
+
+        def resume_turn(self) -> None:
+            told.append(("resume", held.inner.now()))
+
+    mount: Any = Mount()
+    held.rig.mounts = {1: mount, 2: mount}
+    held.wait()
+    assert [name for name, _ in told] == ["hold", "resume"]
+    assert [instant_s for _, instant_s in told] == [instant_s for _, instant_s in held.machine.told]

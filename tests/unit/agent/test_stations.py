@@ -134,15 +134,32 @@ def steps_of(change: StationChange, leaving: int | None) -> list[s.Step]:
 
 
 def test_one_mount_is_carried_and_nothing_turns() -> None:
-    asked, permitted = steps_of(StationChange(), 1)
+    asked, permitted, read = steps_of(StationChange(), 1)
     assert isinstance(asked, s.AskOperator)
     assert (asked.request.task, asked.request.station) == (OperatorTask.MOVE_ARTEFACT, 2)
     assert "its mount" in asked.request.text
     assert isinstance(permitted, s.CheckPermissions)
+    assert isinstance(read, s.ReadPosition)
+
+
+class Jogging(TouchedBall):
+    """Machine whose axes the person who is asked jogs beside the artefact."""
+
+    def to(self, step: s.Step) -> Any:
+        if isinstance(step, s.AskOperator):
+            self.at = np.array([2600.0, 650.0, 730.0])
+        return super().to(step)
+
+
+def test_the_next_motion_begins_where_the_person_who_carried_the_mount_has_left_the_axes() -> None:
+    """From there, a motion to the retreat plane at the place before would cross the artefact."""
+    change, player = StationChange(), Jogging(np.zeros(3), 1.0, lambda *_: 0.0)
+    here = player.run(change_station("m", change, Locations(), np.zeros(3), leaving=1, to=2, index=4))
+    assert here.tolist() == [2600.0, 650.0, 730.0]
 
 
 def test_an_artefact_is_taken_off_a_mount_that_was_parked_with_the_probe_away() -> None:
-    retreat, beside, turn, asked, _ = steps_of(StationChange(CarriedItem.ARTEFACT, (1, 2)), 1)
+    retreat, beside, turn, asked, *_ = steps_of(StationChange(CarriedItem.ARTEFACT, (1, 2)), 1)
     assert isinstance(retreat, s.MoveTo)
     assert retreat.target_mm == (5.0, 0.0, 7.0)
     assert isinstance(beside, s.MoveTo)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
@@ -10,6 +12,7 @@ from canopen_rig import Rig, axis_settings, rig
 from pydantic import BaseModel
 
 from agent.errors import Aborted
+from agent.execution.supervisor import Supervisor
 from drivers.canopen_mount.mount import CanopenMount
 from drivers.canopen_mount.plugin import PLUGIN
 from drivers.clock import InterruptibleClock, VirtualClock
@@ -24,7 +27,7 @@ from drivers.errors import (
 )
 from drivers.links.can_bus import CanNetworks
 from drivers.registry import DeviceContext
-from drivers.roles import Orientation, RotaryMount
+from drivers.roles import HoldableMount, Orientation, RotaryMount
 from simulators.wire.can.drive import PowerDriveState
 
 
@@ -52,6 +55,7 @@ def both_stopped(bench: Rig) -> bool:
 def test_it_implements_its_role() -> None:
     with rig(opened=False) as bench:
         assert isinstance(bench.mount, RotaryMount)
+        assert isinstance(bench.mount, HoldableMount)
         assert isinstance(PLUGIN.create(bench.settings, DeviceContext("m", bench.clock, Path())), CanopenMount)
 
 
@@ -297,6 +301,60 @@ def test_abort_stops_both_drives_without_sleeping() -> None:
             assert both_stopped(bench)
         finally:
             mount.close()
+
+
+@contextmanager
+def held(bench: Rig, from_s: float, until_s: float) -> Iterator[CanopenMount]:
+    """Open a mount whose turn is held between two instants."""
+    supervisor = Supervisor(bench.clock)
+    context = DeviceContext("mount", InterruptibleClock(bench.clock, supervisor.check), Path())
+    mount = CanopenMount(bench.settings, context, bench.networks)
+    supervisor.on_hold, supervisor.on_resume = mount.hold_turn, mount.resume_turn
+    at(bench.clock, from_s, supervisor.request_hold)
+    at(bench.clock, until_s, supervisor.request_resume)
+    mount.open()
+    with closing(mount):
+        yield mount
+
+
+def test_held_turn_stands_still_and_ends_at_its_target_when_it_is_resumed() -> None:
+    with rig(opened=False) as bench, held(bench, 3.0, 600.0) as mount:
+        angles: list[float] = []
+        for instant_s in (3.5, 599.0):
+            at(bench.clock, instant_s, lambda: angles.append(bench.axes.position_deg("azimuth")))
+        reached = mount.orient_to(90.0, 30.0)
+        assert 20.0 < angles[0] < 40.0
+        assert angles[1] == angles[0]
+        assert (reached.azimuth_deg, reached.elevation_deg) == (90.0, 30.0)
+        assert 600.0 < bench.clock.now() < 610.0
+
+
+def test_hold_that_is_requested_before_a_turn_stops_it_at_its_start() -> None:
+    with rig(opened=False) as bench, held(bench, 0.0, 600.0) as mount:
+        bench.clock.sleep(0.1)
+        angles: list[float] = []
+        at(bench.clock, 599.0, lambda: angles.append(bench.axes.position_deg("azimuth")))
+        reached = mount.orient_to(90.0, 30.0)
+        assert angles == [0.0]
+        assert (reached.azimuth_deg, reached.elevation_deg) == (90.0, 30.0)
+
+
+def test_hold_sends_nothing_without_a_turn_and_enables_no_drive() -> None:
+    with rig() as bench:
+        bench.mount.orient_to(10.0, 0.0)
+        bench.frames()
+        bench.mount.hold_turn()
+        bench.mount.resume_turn()
+        assert bench.frames() == []
+
+        def cut_and_hold() -> None:
+            bench.azimuth.trip(0x7121)
+            bench.mount.hold_turn()
+
+        at(bench.clock, bench.clock.now() + 2.0, cut_and_hold)
+        with pytest.raises(MotionFault, match="motor blocked"):
+            bench.mount.orient_to(90.0, 0.0)
+        assert bench.azimuth.state is PowerDriveState.FAULT
 
 
 def test_stop_from_another_thread_ends_the_turn() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -31,7 +32,7 @@ from drivers.linuxcnc.device import LinuxCnc
 from drivers.linuxcnc.plugin import PLUGIN
 from drivers.linuxcnc.settings import LinuxCncSettings
 from drivers.registry import DeviceContext
-from drivers.roles import DiagnosticFinding, MotionState
+from drivers.roles import DiagnosticFinding, MotionState, Touch
 
 PATIENCE_S = 600.0
 FAKE = Path(__file__).with_name("linuxcnc_fake_bridge.py")
@@ -263,6 +264,14 @@ class TestDevice:
         with pytest.raises(ProtocolError, match="status cannot be read"):
             make(script(status=[{"ok": told}])).status()
 
+    @pytest.mark.parametrize("name", ["position", "probed", "eoffset", "program_offset"])
+    @pytest.mark.parametrize("value", [math.nan, math.inf])
+    def test_position_that_is_no_number_is_none(self, make: Make, name: str, value: float) -> None:
+        device = make(script(status=[look(**{name: [1.0, value, 3.0]})]))
+        for request in (device.position, lambda: device.move_to(TARGET, feed_mm_per_s=1.0, guarded=True)):
+            with pytest.raises(ProtocolError, match="no number"):
+                request()
+
     def test_motion_that_never_ends_expires_and_is_aborted(self, make: Make) -> None:
         told = script(
             status=[look(), look(state="exec", idle=False)], abort=[{"error": "refused", "text": "abort came"}]
@@ -287,6 +296,30 @@ class TestDevice:
         told = script(status=[look(), look(state="error"), look(state="error", errors=["beyond X's limit"])])
         with pytest.raises(CommandRejected, match="beyond X's limit"):
             make(told).move_to(TARGET, feed_mm_per_s=1.0, guarded=True)
+
+    @pytest.mark.parametrize(
+        ("end", "error", "text"),
+        [
+            ({"state": "error", "errors": ["too close to the probe point"]}, CommandRejected, "too close to the probe"),
+            ({}, MotionFault, "probably stopped at the machine"),
+        ],
+        ids=["refused", "stopped before it began"],
+    )
+    def test_trip_of_an_earlier_touch_is_not_taken_for_one_of_a_touch_that_did_not_begin(
+        self, make: Make, end: dict[str, Any], error: type[DeviceError], text: str
+    ) -> None:
+        """LinuxCNC clears its flag of the trip only when it begins a touch; the old position lies on the path."""
+        earlier = {"tripped": True, "probed": [5.0, 2.0, 3.0]}
+        device = make(script(status=[look(**earlier), look(**earlier), look(**earlier, **end)]))
+        with pytest.raises(error, match=text):
+            device.touch_towards(TARGET, feed_mm_per_s=5.0)
+
+    def test_touch_whose_axes_have_come_to_the_latched_position_is_one(self, make: Make) -> None:
+        ended = look(tripped=True, probed=[5.0, 2.0, 3.0], position=[5.01, 2.0, 3.0])
+        device = make(script(status=[look(), look(), ended]))
+        touched = device.touch_towards(TARGET, feed_mm_per_s=5.0)
+        assert isinstance(touched, Touch)
+        assert touched.position_mm == pytest.approx((5.0, 2.0, 3.0), abs=0.01)
 
     @pytest.mark.parametrize("free", [True, False])
     def test_probe_deflected_in_unknown_direction_is_freed_first(self, make: Make, free: bool) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from contextlib import closing
+from typing import Any
 
 import numpy as np
 import pytest
@@ -228,6 +229,27 @@ def test_an_abort_while_waiting_stops_the_motion(plc: FakePlc, clock: VirtualClo
             cnc.move_to(np.array([250.0, 200.0, 300.0]), feed_mm_per_s=None, guarded=False)
         assert plc.commands == [11, 23]
         assert plc.registers[1011] == 6
+
+
+@pytest.mark.parametrize(
+    ("shown", "outcome", "error", "text"),
+    [(7, 2, ProtocolError, "started motion 1, but motion 7 ended"), (1, 2, MotionFault, "ended off its target")],
+    ids=["outcome of another motion", "in position too early"],
+)
+def test_axes_that_move_although_an_end_is_reported_are_stopped(
+    cnc: ModbusCnc, plc: FakePlc, shown: int, outcome: int, error: type[Exception], text: str
+) -> None:
+    begin = plc._begin
+
+    def shown_wrong(motion: dict[str, Any]) -> None:
+        begin(motion)
+        plc.registers[1010:1012] = [shown, outcome]
+
+    plc._begin = shown_wrong  # type: ignore[method-assign]
+    with pytest.raises(error, match=text):
+        cnc.move_to(np.array([150.0, 200.0, 300.0]), feed_mm_per_s=10.0, guarded=False)
+    assert plc.commands == [12, 23]
+    assert cnc.status().state is MotionState.IDLE
 
 
 def test_a_motion_after_a_stop_waits_until_the_axes_rest(cnc: ModbusCnc, plc: FakePlc, clock: VirtualClock) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -62,3 +64,11 @@ def test_a_deviation_is_a_fault_if_and_only_if_it_exceeds_the_limit(
     elif abs(reported[axis] - target[axis]) > 0.051:
         with pytest.raises(MotionFault, match=f"{'XYZ'[axis]} target"):
             require_reached(reported, target, 0.05, "move", {})
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_position_that_is_no_number_has_not_reached_its_target(axis: int) -> None:
+    reported = [100.0, 0.0, 0.0]
+    reported[axis] = math.nan
+    with pytest.raises(MotionFault, match=f"{'XYZ'[axis]} target"):
+        require_reached(reported, TARGET, 0.05, "move", {})

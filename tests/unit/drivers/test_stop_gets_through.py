@@ -15,11 +15,13 @@ import numpy as np
 import pytest
 from canopen_rig import rig as canopen_rig
 from modbus_plc import FakePlc
+from modbus_rig import opened
 from serial import Serial
 from serial_rig import Rig
 from serial_rig import rig as serial_rig
 
-from drivers.clock import VirtualClock, wall_seconds
+from agent.errors import Aborted
+from drivers.clock import InterruptibleClock, VirtualClock, wall_seconds
 from drivers.errors import DeviceError, LinkLost, LinkTimeout
 from drivers.links.serial_port import SerialAddress, SerialPort
 from drivers.linuxcnc.bridge_link import BridgeLink
@@ -31,6 +33,7 @@ from simulators.wire.pty_port import PseudoTerminal
 FAR = np.array([1000.0, 0.0, 0.0])
 STOP_COMMAND = 23
 """Code of STOP in docs/reference/modbus-register-map.md."""
+MOVE_FEED_COMMAND = 12
 HELLO = {"hello": [{"ok": {"protocol": 1}}]}
 QUICK_STOPS = tuple((0x600 + node, bytes.fromhex("2B 40 60 00 02 00 00 00")) for node in (5, 6))
 
@@ -161,7 +164,97 @@ def replug(grbl: Rig) -> None:
     new.start()
 
 
+class SlowPlc(FakePlc):
+    """PLC whose program runs once in `requests_per_cycle` requests, and which handles the command that it has taken
+    `deciding_cycles` later, as the map allows."""
+
+    requests_per_cycle, deciding_cycles = 1, 0
+
+    def __init__(self) -> None:
+        self._answering, self._asked = False, 0
+        self._taken: tuple[list[int], int] | None = None
+        super().__init__()
+
+    def cycle(self) -> None:
+        if not self._answering:
+            super().cycle()
+
+    def _pdu(self, pdu: bytes) -> bytes:
+        self._answering = True
+        answer = super()._pdu(pdu)
+        self._answering = False
+        self._asked += 1
+        if self._asked % self.requests_per_cycle == 0:
+            self.cycle()
+        return answer
+
+    def _take_command(self) -> None:
+        if self._taken is None and self.registers[2022] not in (0, self.handled):
+            self._taken = self.registers[2000:2023], self.deciding_cycles
+        if self._taken is None:
+            return
+        block, cycles = self._taken
+        if cycles:
+            self._taken = block, cycles - 1
+            return
+        present, self.registers[2000:2023], self._taken = self.registers[2000:2023], block, None
+        super()._take_command()
+        self.registers[2000:2023] = present
+
+
 class TestModbus:
+    @pytest.fixture
+    def plc(self) -> Iterator[SlowPlc]:
+        with closing(SlowPlc()) as plc:
+            yield plc
+
+    def test_stop_has_a_number_of_its_own_if_the_connection_was_lost_before_the_motion_was_acknowledged(
+        self, plc: SlowPlc
+    ) -> None:
+        clock = VirtualClock()
+        clock.subscribe(plc.advance_to)
+        plc.deciding_cycles = 3
+
+        def drop(request: bytes, answer: bytes) -> bytes | None:
+            if plc.registers[2001] != MOVE_FEED_COMMAND:
+                return answer
+            plc.disturb = lambda _request, answer: answer
+            plc.drop_client()
+            return None
+
+        with opened(plc, clock, reconnect_attempts=0) as cnc:
+            plc.disturb = drop
+            with pytest.raises(LinkLost):
+                cnc.move_to(FAR, feed_mm_per_s=10.0, guarded=False)
+            cnc.stop()
+            assert plc.commands == [MOVE_FEED_COMMAND, STOP_COMMAND]
+            clock.sleep(0.1)
+            assert cnc.status().state is MotionState.IDLE
+            cnc.move_to(np.array([110.0, 200.0, 300.0]), feed_mm_per_s=10.0, guarded=False)
+
+    @pytest.mark.parametrize("requests", [1, 2, 3, 4])
+    def test_abort_before_the_acknowledgement_of_a_motion_does_not_find_another_client(
+        self, plc: SlowPlc, requests: int
+    ) -> None:
+        """The acknowledgement of the motion may be read after the STOP has been sent."""
+        plc.requests_per_cycle = requests
+        inner = VirtualClock()
+        inner.subscribe(plc.advance_to)
+        pressed: list[bool] = []
+
+        def check() -> None:
+            if plc.commands == [MOVE_FEED_COMMAND] and not pressed:
+                pressed.append(True)
+                raise Aborted("pressed")
+
+        with opened(plc, InterruptibleClock(inner, check)) as cnc:
+            with pytest.raises(Aborted) as caught:
+                cnc.move_to(FAR, feed_mm_per_s=10.0, guarded=False)
+            assert not getattr(caught.value, "__notes__", [])
+            cnc.stop()
+            assert cnc.status().state is MotionState.IDLE
+            assert plc.commands == [MOVE_FEED_COMMAND, STOP_COMMAND, STOP_COMMAND]
+
     def test_connection_that_answers_nothing_is_replaced(self) -> None:
         clock = VirtualClock()
         with closing(FakePlc()) as plc:
