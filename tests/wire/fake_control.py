@@ -8,12 +8,12 @@ from dataclasses import replace
 from queue import Queue
 from typing import Any
 
-from agent.errors import Busy, NotAllowedInState
+from agent.errors import Busy, NotAllowedInState, ResetMissing
 from agent.execution.states import PACKML, RunState
 from agent.runs.run_request import RunRequest, Source
 from agent.service.alarms import alarm_of
 from agent.service.control import Event, Question, Status
-from drivers.errors import LinkLost, PermissionMissing, UserError
+from drivers.errors import LinkLost, UserError
 
 AT_REST = (RunState.IDLE, RunState.COMPLETE, RunState.REFUSED)
 
@@ -55,7 +55,7 @@ class FakeControl:
     def start(self, request: RunRequest, by: str = "") -> str:
         self.by = by
         if self._status.state in (RunState.FAULTED, RunState.ABORTED):
-            raise PermissionMissing("reset first")
+            raise ResetMissing("reset first")
         if self._status.state not in AT_REST:
             raise Busy(f"run {self._status.run_id} is in progress")
         if request.position_set == "S99":

@@ -273,7 +273,7 @@ def test_refusals_of_the_control_are_results(panel, control):
     panel.give(START)
     assert panel.give(START) == BUSY
     panel.give(ABORT)
-    assert panel.give(START) == 350
+    assert panel.give(START) == 351
     panel.give(RESET)
     assert panel.give(START, sets="S99") == 200
     assert panel.give(RESUME_RUN) == 200

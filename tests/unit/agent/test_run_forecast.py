@@ -51,7 +51,7 @@ def test_the_minutes_left_follow_the_controller_from_the_second_position_on() ->
 
     told = forecast.run_time(took_s / S_PER_MIN)
     assert {one.kind: one.learned_s for one in told.latencies if one.kind in SLOW_S} == pytest.approx(SLOW_S, abs=1e-6)
-    assert f"forecast 64.6 min, took {took_s / S_PER_MIN:.1f}: waiting for the controller" in told.text
+    assert f"forecast 64.3 min, took {took_s / S_PER_MIN:.1f}: waiting for the controller" in told.text
     assert "0.21 s a touch instead of 0.079" in told.text
     assert tuple(told.by_phase) == PHASES
     assert sum(told.by_phase.values()) == pytest.approx(told.minutes)
@@ -64,7 +64,7 @@ def test_a_run_as_forecast_gives_no_cause() -> None:
     preflight = preflight_of(job)
     forecast = RunForecast(preflight, time_model(job.machine, job.settings.timing), job.held_out)
     told = forecast.run_time(preflight.machine_minutes)
-    assert told.text == "forecast 64.6 min, took 64.6"
+    assert told.text == "forecast 64.3 min, took 64.3"
     assert forecast.progress("no/such/step") is None
 
 
