@@ -19,12 +19,14 @@ from agent.probing.measured_balls import Correction, MeasuredBall, observations_
 from agent.results.artefact_calibration import calibration_record
 from agent.results.facts import Quantity, VolumetricSummary
 from agent.results.observations import ReferenceArtefact, positions_named
+from agent.results.table_image import table_as_applied
 from agent.results.travel_parts import TravelPart, TravelParts
 from agent.settings.schema import IdentificationSettings, Order, TableSettings
 from agent.settings.temperature import TemperatureSettings
 from agent.thermal.machine_drift import RunDrift, run_drift, thermal_options
 from agent.thermal.thermometer import ThermometerFacts, ThermometerStatement
 from drivers.clock import utc_timestamp
+from drivers.roles import StoreLimits
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
@@ -79,9 +81,10 @@ class EstimationResult:
         are corrected."""
         return math.sqrt(max(self.volumetric.after_aligned.value_um**2 - self.lost_um**2, 0.0))
 
-    def applied_as(self, table: CompensationTable, tool_offset_mm: Array) -> EstimationResult:
-        """Return the same result with the VCE that is left if the controller applies `table`, which is its form of the
-        table of this result. Losses that change the VCE by less than 0.5 % are left out."""
+    def applied_by(self, store: StoreLimits, tool_offset_mm: Array) -> EstimationResult:
+        """Return the same result with the VCE that is left if a controller with the limits `store` applies the table
+        of this result in its own form. Losses that change the VCE by less than 0.5 % are left out."""
+        table = table_as_applied(self.table, store)
         estimate, after = self.estimate, self.volumetric.after_aligned
         grid = evaluation_grid(estimate.model.ranges_mm)
         left = deviation_basis(estimate.model, grid, tool_offset_mm) @ estimate.parameters + table.at(grid)

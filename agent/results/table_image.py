@@ -34,7 +34,7 @@ def image_of(table: CompensationTable, limits: StoreLimits) -> TableImage:
     return TableImage((origin[0], origin[1], origin[2]), (step[0], step[1], step[2]), limits.resolution_mm, counts)
 
 
-def stored_table(table: CompensationTable, limits: StoreLimits) -> CompensationTable:
+def table_as_applied(table: CompensationTable, limits: StoreLimits) -> CompensationTable:
     """Return the compensation table `table` with the corrections that the controller applies if it stores the table:
     whole multiples of its resolution and, if each axis is corrected by its own position alone, the own-axis part."""
     counts = np.rint(_applied_part(table, limits) / limits.resolution_mm)

@@ -35,7 +35,7 @@ from agent.results.gates.table_gates import gain_gate, proof_gate, table_gates
 from agent.results.journal_entries import record_held_out, record_identified
 from agent.results.observations import balls_for_estimate
 from agent.results.run_outcome import Confirmation, Decision, Proof
-from agent.results.table_image import image_of, stored_table
+from agent.results.table_image import image_of, table_as_applied
 from agent.results.table_replacement import (
     ExpectedGain,
     FormerBalls,
@@ -166,7 +166,7 @@ def _estimate(task: CalibrationTask, ready: PreparedRun, measured: MeasuredPosit
     job = task.job
     with translated(MeasurementFault):
         found = estimate_from_balls(job, balls_for_estimate(job, measured), ready.correction)
-    return found.applied_as(stored_table(found.table, task.store), job.tool_offset_mm)
+    return found.applied_by(task.store, job.tool_offset_mm)
 
 
 def estimated(
@@ -189,7 +189,7 @@ def _weigh(
     and the proof can show the effect of the new one. On a machine that has changed it is never confirmed: the run is
     refused if the effect of a new one could not be shown."""
     job = task.job
-    stored = stored_table(estimation.table, task.store)
+    stored = table_as_applied(estimation.table, task.store)
     gain = expected_gain(estimation.estimate, estimation.unknown_um, ready.correction, stored.at, job.tool_offset_mm)
     gates = estimate_gates(estimation.estimate, job.gate_limits)
     if task.reference is not None:
@@ -224,7 +224,7 @@ def power_of_proof(
 def _as_stored(estimation: EstimationResult, store: StoreLimits) -> EstimationResult:
     """Return `estimation` with its table as the controller applies it. A proof compares what was measured with this
     table: the resolution of the controller is no mistake of the controller."""
-    return replace(estimation, table=stored_table(estimation.table, store))
+    return replace(estimation, table=table_as_applied(estimation.table, store))
 
 
 def way_through(gates: Sequence[Gate], consent: Consent) -> str:

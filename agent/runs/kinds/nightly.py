@@ -28,7 +28,6 @@ from agent.results.gates.gate import Gate
 from agent.results.gates.table_gates import proof_gate, shape_gates
 from agent.results.observations import balls_for_estimate
 from agent.results.run_outcome import Decision, NightReport, Proof, no_gain_text
-from agent.results.table_image import stored_table
 from agent.results.table_replacement import ExpectedGain
 from agent.runs.change_since_reference import change_since, fit_of_night
 from agent.runs.consent import Consent
@@ -390,8 +389,7 @@ def _fuse(running: _Night, measured: MeasuredPositions) -> _Fused:
         fit = fit_of_night(job, judge.reference, judge.nights, observations, options)
         options = replace(options, carried_over=fit.prior)
         found = estimate_in_run(job, balls, observations, options)
-    applied = stored_table(found.table, running.task.store)
-    return _Fused(found.applied_as(applied, job.tool_offset_mm), fit)
+    return _Fused(found.applied_by(running.task.store, job.tool_offset_mm), fit)
 
 
 def _gates(running: _Night, fused: _Fused) -> tuple[Gate, ...]:

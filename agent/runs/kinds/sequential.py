@@ -52,6 +52,7 @@ from agent.runs.kinds.calibration import CalibrationTask, concluded, nothing_mor
 from agent.runs.kinds.run_parts import PreparedRun, found_compensation, prepared_run, refused
 from agent.runs.kinds.slot import AvailableTime
 from agent.thermal.machine_drift import is_drifting
+from drivers.roles import StoreLimits
 from twin.artefact.position_set import Position
 from twin.design.sequential import PositionsSeen
 from twin.units import MM_PER_UM, S_PER_MIN, UM_PER_MM
@@ -98,6 +99,7 @@ class _Renewal:
 
     candidates: SequentialCandidates
     correction: Correction
+    store: StoreLimits
     seen: PositionsSeen | None = field(default=None, init=False)
 
     def choice(self, measured: MeasuredPositions, standing: Standing | None, target_um: float | None) -> dict[str, Any]:
@@ -143,7 +145,8 @@ class _Renewal:
         if not near and not is_drifting(job.settings.temperature, [ball.conditions for ball in balls]):
             return None
         with translated(MeasurementFault):
-            return estimate_from_balls(job, balls, self.correction)
+            estimation = estimate_from_balls(job, balls, self.correction)
+        return estimation.applied_by(self.store, job.tool_offset_mm)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +181,7 @@ def sequential_calibration(task: SequentialTask) -> RunPlan:
     began_s: float = yield ReadClock("sequential/begins")
     found = yield from found_compensation()
     ready = yield from prepared_run(task.job, found)
-    running = _Running(task, ready, began_s, _Renewal(task.candidates, ready.correction))
+    running = _Running(task, ready, began_s, _Renewal(task.candidates, ready.correction, task.calibration.store))
     nothing = replace(NOTHING_MEASURED, standing_at=ready.prepared.standing_at)
     return (yield from _next(running, nothing))
 

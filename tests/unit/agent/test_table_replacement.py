@@ -17,7 +17,7 @@ from agent.planning.stand_ins import USUAL_STORE
 from agent.probing.measured_balls import no_correction
 from agent.results.estimation import EstimationResult, table_grid
 from agent.results.facts import Quantity, VolumetricSummary
-from agent.results.table_image import image_of, stored_table
+from agent.results.table_image import image_of, table_as_applied
 from agent.results.table_replacement import ExpectedGain, expected_gain, written_parameters
 from agent.settings.schema import TableSettings
 from twin.arrays import Array
@@ -54,7 +54,7 @@ def test_the_gain_of_a_table_is_that_of_the_table_which_the_controller_applies(
         parameters = np.random.default_rng(seed).normal(size=model.size) * job.machine.family.prior_standard_deviation
         nodes, anchor = table_grid(model, TableSettings(step_mm=step_mm))
         table = build_table(model, parameters, nodes, offset, anchor, np.zeros((1, 3)))
-        stored = stored_table(table, replace(USUAL_STORE, resolution_mm=resolution_mm))
+        stored = table_as_applied(table, replace(USUAL_STORE, resolution_mm=resolution_mm))
         estimate: Any = SimpleNamespace(model=model, parameters=parameters)
         gain = expected_gain(estimate, 1.0, no_correction, stored.at, offset)
         # the machine with this table at places that are no nodes, without volcal's sums
@@ -79,7 +79,7 @@ def test_a_controller_that_corrects_each_axis_alone_gets_what_it_applies() -> No
     nodes, anchor = table_grid(model, TableSettings())
     table = build_table(model, parameters, nodes, offset, anchor, np.zeros((1, 3)))
     limits = replace(USUAL_STORE, own_axis_loss_mm=0.1)
-    image, stored = image_of(table, limits), stored_table(table, limits)
+    image, stored = image_of(table, limits), table_as_applied(table, limits)
     np.testing.assert_array_equal(limits.resolution_mm * image.counts, stored.corrections)
     for axis in range(3):
         own = np.moveaxis(image.counts[..., axis], axis, 0).reshape(image.shape[axis], -1)
@@ -103,10 +103,10 @@ def test_the_predicted_error_contains_what_the_controller_does_not_apply() -> No
     estimate: Any = SimpleNamespace(model=model, parameters=parameters)
     missing: Any = None
     found = EstimationResult(missing, estimate, volumetric, missing, table, missing)
-    assert found.applied_as(stored_table(table, USUAL_STORE), offset) is found
+    assert found.applied_by(USUAL_STORE, offset) is found
     for limits in (replace(USUAL_STORE, own_axis_loss_mm=0.1), replace(USUAL_STORE, resolution_mm=1e-2)):
-        stored = stored_table(table, limits)
-        applied = found.applied_as(stored, offset)
+        stored = table_as_applied(table, limits)
+        applied = found.applied_by(limits, offset)
         stated = applied.volumetric.after_aligned
         gain = expected_gain(estimate, found.unknown_um, no_correction, stored.at, offset)
         assert stated.value_um == pytest.approx(gain.new_um, rel=0.05)  # the grids of the travel differ

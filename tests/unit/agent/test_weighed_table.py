@@ -34,7 +34,7 @@ def weighed(monkeypatch: pytest.MonkeyPatch, power: float, consent: Consent, *, 
         "change_gate": Gate(CHANGE, not found, 10.0, 3.0, "change"),
         "table_gates": (),
         "power_of_proof": power,
-        "stored_table": SimpleNamespace(at=None),
+        "table_as_applied": SimpleNamespace(at=None),
     }
     for name, value in replaced.items():
         monkeypatch.setattr(calibration, name, lambda *_, value=value: value)
