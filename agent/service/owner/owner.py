@@ -166,7 +166,8 @@ class Owner:
                 raise StoreError(f"the run is still unfinished: {found.state.value}", hint=found.instruction)
 
     def hold(self, by: str = "") -> None:
-        self._require(allowed_requests.HOLD, "a run can be held only while it is moving")
+        if self._board.state is not RunState.HELD:  # until the axes have braked, a resumption can be taken back
+            self._require(allowed_requests.HOLD, "a run can be held only while it is moving")
         self._on_running(RunMailbox.hold, "hold requested", by)
         self._record_request("hold requested", allowed_requests.HOLD, by)
 

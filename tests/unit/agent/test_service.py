@@ -262,6 +262,28 @@ def test_settings_are_taken_between_runs_only(tmp_path: Path) -> None:
             built.owner.reload(Settings.model_validate(settings_document(tmp_path / "elsewhere")))
 
 
+# ---------------------------------------------------------------------- requests to the run in progress
+
+
+def test_a_hold_takes_a_resumption_back_while_the_run_is_still_held(tmp_path: Path) -> None:
+    with house(tmp_path) as built:
+        built.owner.start(NIGHTLY)
+        built.puppet.begun()
+        built.puppet.enter(RunState.MEASURING)
+        built.owner.hold()
+        built.puppet.enter(RunState.HELD)
+        built.owner.resume()
+        built.owner.hold()
+        supervisor = built.puppet.supervisor
+        assert supervisor is not None
+        held: list[str] = []
+        supervisor.on_hold = lambda: held.append("held")
+        supervisor.before_resume = supervisor.request_resume
+        built.puppet.clock.subscribe(lambda _: supervisor.request_resume())
+        supervisor.check()
+        assert held == ["held"]
+
+
 # ---------------------------------------------------------------------- watchdog
 
 
