@@ -284,6 +284,35 @@ def test_a_hold_takes_a_resumption_back_while_the_run_is_still_held(tmp_path: Pa
         assert held == ["held"]
 
 
+def test_an_answered_question_is_shown_to_nobody_although_the_run_is_held(tmp_path: Path) -> None:
+    with house(tmp_path) as built, built.event_log.subscribe() as events:
+        questions = Questions(built.parts.board.show_question)
+        number = questions.ask("carry it to station 2", 2).number
+        assert "answer" in built.owner.status().may
+        questions.answer(number, True)
+        now = built.owner.status()
+        assert (now.question, "answer" in now.may, questions.given_answer()) == (None, False, True)
+        assert questions.close() is True
+        told = [events.get_nowait() for _ in range(events.qsize())]
+        assert [(event.text, event.data["open"]) for event in told] == [("carry it to station 2", True), ("yes", False)]
+
+
+def test_an_answer_at_the_last_moment_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = VirtualClock()
+    questions = Questions(lambda *_: None)
+    look = questions.given_answer
+
+    def looked() -> bool | None:
+        found = look()
+        if clock.now() >= 120.0 and questions.open is not None:  # after the run has looked for the last time
+            questions.answer(1, True)
+        return found
+
+    monkeypatch.setattr(questions, "given_answer", looked)
+    operator = ServiceOperator(questions, clock, 2.0, attended=True)
+    assert operator.ask(OperatorRequest(OperatorTask.CONSENT, "?"))
+
+
 # ---------------------------------------------------------------------- watchdog
 
 
