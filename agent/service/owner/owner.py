@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from queue import Queue
 
@@ -81,9 +82,7 @@ class Owner:
 
     def start(self, request: RunRequest, by: str = "") -> str:
         try:
-            with naming(self._parts.config):
-                job = job_of(request, self.settings, self._parts.config.parent)
-            running = self._reserve()
+            running, job = self._reserve_for(partial(job_of, request))
         except VolcalError as error:
             if request.source == "timer":  # nobody stands there to see the refusal
                 self._note_not_started(request, error)
@@ -100,10 +99,8 @@ class Owner:
         return self._begin(running, job, kind, hooks, request.source, request.model_dump(mode="json"), by)
 
     def restore_table(self, run_id: str, role: str, source: Source, by: str = "") -> str:
-        with naming(self._parts.config):
-            job = prepare_job(self.settings, self._parts.config.parent)
         stored_table(self.settings.state_directory, run_id, role)
-        running = self._reserve()
+        running, job = self._reserve_for(prepare_job)
         try:
             self._comparison.make(self.settings)
             self._comparison.require_proved_table()
@@ -269,6 +266,17 @@ class Owner:
                 self._board.show_reading(found)
 
     # ------------------------------------------------------------------ starting
+
+    def _reserve_for(self, prepare: Callable[[Settings, Path], Job]) -> tuple[RunMailbox, Job]:
+        """Reserve the machine for a new run, whose job `prepare` makes of the settings. It is made again if the
+        settings are reloaded meanwhile: the run then uses the new ones."""
+        while True:
+            settings = self.settings
+            with naming(self._parts.config):
+                job = prepare(settings, self._parts.config.parent)
+            with self.use.lock:
+                if settings is self.settings:
+                    return self._reserve(), job
 
     def _reserve(self) -> RunMailbox:
         with self.use.lock:

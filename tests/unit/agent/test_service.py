@@ -28,6 +28,7 @@ from agent.execution.run_state import Announcement
 from agent.execution.states import RunState
 from agent.execution.steps import Record, TouchTowards
 from agent.execution.supervisor import Supervisor
+from agent.planning.job import Job
 from agent.runs.kinds.nightly import Night
 from agent.runs.requested_run import job_of, kind_of
 from agent.runs.run_request import RunRequest
@@ -311,6 +312,27 @@ def test_an_answer_at_the_last_moment_counts(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(questions, "given_answer", looked)
     operator = ServiceOperator(questions, clock, 2.0, attended=True)
     assert operator.ask(OperatorRequest(OperatorTask.CONSENT, "?"))
+
+
+def test_a_run_that_is_asked_for_while_the_settings_are_reloaded_has_the_new_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = Settings.model_validate(settings_document(tmp_path, nightly={"slot_minutes": 20.0}))
+    prepared: list[Settings] = []
+    with house(tmp_path) as built:
+
+        def preparing(request: RunRequest, settings: Settings, base: Path) -> Job:
+            prepared.append(settings)
+            job = job_of(request, settings, base)
+            if settings is not other:
+                built.owner.reload(other)
+            return job
+
+        monkeypatch.setattr("agent.service.owner.owner.job_of", preparing)
+        built.owner.start(NIGHTLY)
+        built.puppet.begun()
+        assert (len(prepared), prepared[-1]) == (2, other)
+        assert built.puppet.started[-1].job.settings.nightly.slot_minutes == 20.0
 
 
 # ---------------------------------------------------------------------- watchdog
