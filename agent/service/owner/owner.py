@@ -261,9 +261,9 @@ class Owner:
             if not idle:
                 return
             found = self._parts.machine.read(self.settings, self._parts.config.parent, self._board.must_compare)
-        with self.use.lock:
-            if self.use.running is None:
-                self._board.show_reading(found)
+            with self.use.lock:  # before the end of the work: a request that waits for it may change what was read
+                if self.use.running is None:
+                    self._board.show_reading(found)
 
     # ------------------------------------------------------------------ starting
 
