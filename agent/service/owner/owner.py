@@ -344,20 +344,25 @@ class Owner:
     # ------------------------------------------------------------------ the run's thread
 
     def _launch(self, running: RunMailbox, carry_out: Callable[[], RunResult]) -> None:
-        threading.Thread(target=self._work, args=(running.run_id, carry_out), name=running.run_id, daemon=True).start()
+        thread = threading.Thread(target=self._work, args=(running.run_id, carry_out), name=running.run_id, daemon=True)
+        try:
+            thread.start()
+        except RuntimeError as error:  # the computer has no memory for it, or too many processes
+            log.exception("no thread for the run")
+            self._conclude(RunState.FAULTED, error)
 
     def _work(self, run_id: str, carry_out: Callable[[], RunResult]) -> None:
         self._parts.health.begin_run()
         with structlog.contextvars.bound_contextvars(run_id=run_id):
             try:
                 ended = carry_out()
+                self._board.show_outcome(ended.outcome)
             except VolcalError as error:
                 self._conclude(_end_of(error), error)
             except BaseException as defect:  # the machine must be released and the defect reported
                 log.exception("defect in the agent")
                 self._conclude(RunState.FAULTED, defect)
             else:
-                self._board.show_outcome(ended.outcome)
                 self._conclude(ended.outcome.state, ended.error)
                 self._parts.reports.request(run_id)
 

@@ -335,6 +335,36 @@ def test_a_run_that_is_asked_for_while_the_settings_are_reloaded_has_the_new_one
         assert built.puppet.started[-1].job.settings.nightly.slot_minutes == 20.0
 
 
+# ---------------------------------------------------------------------- end of a run that fails in the service itself
+
+
+def test_a_run_for_which_there_is_no_thread_ends_as_a_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def start(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    with house(tmp_path) as built:
+        with monkeypatch.context() as patched:
+            patched.setattr(threading.Thread, "start", start)
+            built.owner.start(NIGHTLY)
+        now = built.owner.status()
+        assert (built.owner.busy, now.state, len(now.alarms)) == (False, RunState.FAULTED, 1)
+
+
+def test_an_outcome_that_cannot_be_shown_does_not_keep_the_machine(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def show(*_: object) -> None:
+        raise ValueError("Out of range float values are not JSON compliant")
+
+    with house(tmp_path) as built:
+        monkeypatch.setattr(built.parts.board, "show_outcome", show)
+        built.owner.start(NIGHTLY)
+        built.puppet.begun()
+        built.puppet.end(RunState.COMPLETE)
+        assert built.owner.wait(PATIENCE_S)
+        assert built.owner.status().state is RunState.FAULTED
+
+
 # ---------------------------------------------------------------------- watchdog
 
 
