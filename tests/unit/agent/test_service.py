@@ -12,7 +12,7 @@ import threading
 import time
 import zipfile
 from collections.abc import Iterator
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from queue import SimpleQueue
 
@@ -44,7 +44,7 @@ from agent.service.owner.questions import Questions, ServiceOperator
 from agent.service.owner.run_hooks import RunHooksFactory
 from agent.service.owner.run_mailbox import RunMailbox
 from agent.service.owner.unattended import Circumstances, minutes_until_end, require_warm
-from agent.service.state.event_log import EventLog
+from agent.service.state.event_log import EventLog, new_event_log
 from agent.service.state.status_board import doing
 from agent.service.token import make_token, read_token, token_path
 from agent.settings.listing import REMOVED, without_secrets
@@ -263,6 +263,27 @@ def test_settings_are_taken_between_runs_only(tmp_path: Path) -> None:
             built.owner.reload(Settings.model_validate(settings_document(tmp_path / "elsewhere")))
 
 
+def test_a_run_that_is_asked_for_while_the_settings_are_reloaded_has_the_new_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = Settings.model_validate(settings_document(tmp_path, nightly={"slot_minutes": 20.0}))
+    prepared: list[Settings] = []
+    with house(tmp_path) as built:
+
+        def preparing(request: RunRequest, settings: Settings, base: Path) -> Job:
+            prepared.append(settings)
+            job = job_of(request, settings, base)
+            if settings is not other:
+                built.owner.reload(other)
+            return job
+
+        monkeypatch.setattr("agent.service.owner.owner.job_of", preparing)
+        built.owner.start(NIGHTLY)
+        built.puppet.begun()
+        assert (len(prepared), prepared[-1]) == (2, other)
+        assert built.puppet.started[-1].job.settings.nightly.slot_minutes == 20.0
+
+
 # ---------------------------------------------------------------------- requests to the run in progress
 
 
@@ -312,27 +333,6 @@ def test_an_answer_at_the_last_moment_counts(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(questions, "given_answer", looked)
     operator = ServiceOperator(questions, clock, 2.0, attended=True)
     assert operator.ask(OperatorRequest(OperatorTask.CONSENT, "?"))
-
-
-def test_a_run_that_is_asked_for_while_the_settings_are_reloaded_has_the_new_ones(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    other = Settings.model_validate(settings_document(tmp_path, nightly={"slot_minutes": 20.0}))
-    prepared: list[Settings] = []
-    with house(tmp_path) as built:
-
-        def preparing(request: RunRequest, settings: Settings, base: Path) -> Job:
-            prepared.append(settings)
-            job = job_of(request, settings, base)
-            if settings is not other:
-                built.owner.reload(other)
-            return job
-
-        monkeypatch.setattr("agent.service.owner.owner.job_of", preparing)
-        built.owner.start(NIGHTLY)
-        built.puppet.begun()
-        assert (len(prepared), prepared[-1]) == (2, other)
-        assert built.puppet.started[-1].job.settings.nightly.slot_minutes == 20.0
 
 
 # ---------------------------------------------------------------------- end of a run that fails in the service itself
@@ -663,6 +663,15 @@ def test_a_lagging_reader_loses_the_oldest_progress_first() -> None:
     assert lost
     assert [event.number for event in events] == [9, 10, 11]
     assert event_log.since(500)[0]  # of another life of the service
+
+
+def test_events_of_a_service_that_was_started_again_are_not_taken_for_those_of_before() -> None:
+    former, later = (new_event_log(datetime(2026, 11, 21, 2, minute, tzinfo=UTC)) for minute in (0, 1))
+    seen = [former.publish("note", "before") for _ in range(3)][-1].number
+    events = [later.publish("note", "after") for _ in range(5)]
+    lost, missed = later.since(seen)
+    assert lost
+    assert missed == tuple(events)
 
 
 # ---------------------------------------------------------------------- questions
