@@ -85,11 +85,15 @@ class RunStateTracker:
         finally:
             self._tell(Announcement("state", reason or state.value, {"state": state.value}))
 
+    def may_hold(self) -> bool:
+        """Return True if the run can be held in its present state."""
+        return may_follow(self.state, RunState.HELD)
+
     def hold(self) -> None:
         """Change to the state HELD if this change is permitted from the current state; otherwise the state does not
         change.
         """
-        if may_follow(self.state, RunState.HELD):
+        if self.may_hold():
             self._held_in = self.state
             self.enter(RunState.HELD)
 

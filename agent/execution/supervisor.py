@@ -20,9 +20,11 @@ class Supervisor:
     """Receiver of requests to hold, resume or end a run. Any thread may make a request; the thread of the run responds
     to it.
 
-    The clock of the run (an `InterruptibleClock`) calls the method `check` during its waits. The callback `on_hold`
-    starts the machine's feed hold, and `on_resume` ends it. Before it ends, `before_resume` may wait until the machine
-    can be resumed; a hold that is requested again during this wait goes on. All three are called on the thread of the
+    The clock of the run (an `InterruptibleClock`) calls the method `check` during its waits. The callback `may_hold`
+    returns True if the run can be held in its present state; a hold that was requested before waits for such a state,
+    since nobody could resume the run in another one. The callback `on_hold` starts the machine's feed hold, and
+    `on_resume` ends it. Before it ends, `before_resume` may wait until the machine
+    can be resumed; a hold that is requested again during this wait goes on. All of them are called on the thread of the
     run while it waits on the clock, and never while a driver exchanges a message with a device.
 
     The callback `heartbeat` is called at every check and repeatedly during a hold. From these calls, a watchdog can see
@@ -36,6 +38,7 @@ class Supervisor:
         self._lock = threading.RLock()  # a signal may come while its thread handles another one
         self._shielded = False
         self._holding = False
+        self.may_hold: Callable[[], bool] = _always
         self.on_hold: Callable[[], None] = _do_nothing
         self.before_resume: Callable[[], None] = _do_nothing
         self.on_resume: Callable[[], None] = _do_nothing
@@ -73,7 +76,7 @@ class Supervisor:
 
     def check(self) -> None:
         """Raise `Aborted` or `Interrupted` if the end of the run has been requested. If a hold (pause) of the run has
-        been requested, wait until the run is resumed.
+        been requested and the run can be held in its present state, wait until the run is resumed.
 
         Requests are ignored after a call of `shield`, or if this method is called during a hold. The callback
         `heartbeat` is called in every case.
@@ -83,7 +86,7 @@ class Supervisor:
             return
         if self._stop_request is not None:
             self._raise_stop_request()
-        if self._hold.is_set():
+        if self._hold.is_set() and self.may_hold():
             self._wait_for_resume()
 
     def check_stop_request(self) -> None:
@@ -124,6 +127,11 @@ class Supervisor:
         if self._stop_request is not None:
             kind, text = self._stop_request
             raise kind(text)
+
+
+def _always() -> bool:
+    """Default callback if there are no states: the run can always be held."""
+    return True
 
 
 def _do_nothing() -> None:

@@ -164,6 +164,7 @@ def open_rig(context: RunContext) -> Iterator[None]:
     rig.open()
     try:
         supervisor = context.supervisor
+        supervisor.may_hold = tracker.may_hold
         supervisor.on_hold, supervisor.before_resume, supervisor.on_resume = hold, brake, resume
         yield
     finally:

@@ -9,7 +9,7 @@ from typing import Any
 
 from playwright.sync_api import Browser, Page, Route, expect
 from service_process import Service
-from told_page import ALARM, NO_EVENTS, RUN, status, told
+from told_page import ALARM, NO_EVENTS, RUN, idle_with_alarm, status, told
 
 from agent.execution.states import RunState
 from agent.language.sentences import german
@@ -95,6 +95,16 @@ def test_an_abort_is_sent_before_anything_is_read_again(chromium: Browser, house
         assert read == ["abort"]
         with page.expect_request(f"**/api/runs/{RUN}/balls"):
             silent[0].fulfill(json={"taken": True})
+
+
+def test_a_service_that_was_started_again_is_shown_although_its_numbers_are_lower(
+    chromium: Browser, house: Service
+) -> None:
+    with told(chromium, house) as (page, said):
+        with page.expect_response("**/api/status"):
+            said.update(status(RunState.IDLE))
+        said.update({**idle_with_alarm(), "event": 3})
+        expect(page.locator("#cards .alarm")).to_contain_text(ALARM["text"])
 
 
 def test_an_abort_while_a_file_is_fetched_lets_it_arrive_later(chromium: Browser, house: Service) -> None:

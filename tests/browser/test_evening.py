@@ -249,7 +249,7 @@ def test_a_question_is_answered_with_one_of_two_large_buttons(page: Page, house:
     """The simulated operator answers by itself, so the question is put into the status on its way to the page."""
     with_token(page, house)
     question = {"number": 3, "text": "carry the artefact to station 2", "station": 2}
-    asking = {**house.status(), "question": question, "may": ["answer", "abort"], "event": 10**6}
+    asking = {**house.status(), "question": question, "may": ["answer", "abort"], "event": 10**15}
     page.route("**/api/status", lambda route: route.fulfill(json=asking))
     card = page.locator(".card.question")
     expect(card).to_contain_text("Move the artefact to station 2")

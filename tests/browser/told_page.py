@@ -84,7 +84,7 @@ def status(state: RunState, *, unfinished: bool = False) -> dict[str, Any]:
         "links": LINKS,
         "unfinished": RUN if unfinished else None,
         "alarms": [ALARM] if state in (RunState.FAULTED, RunState.ABORTED) else [],
-        "event": 10**6,
+        "event": 10**15,
     }
 
 

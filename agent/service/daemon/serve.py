@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 
 import structlog
@@ -30,7 +31,7 @@ from agent.service.owner.owner_parts import OwnerParts, current_circumstances
 from agent.service.owner.process_heap import share_one_heap
 from agent.service.owner.unattended import Circumstances
 from agent.service.state.archive import Archive
-from agent.service.state.event_log import EventLog
+from agent.service.state.event_log import new_event_log
 from agent.service.state.idle_alarms import IdleAlarms
 from agent.service.state.journal_state import JournalState
 from agent.service.state.live_view import LiveView
@@ -132,7 +133,8 @@ def notifying(settings: Settings, parts: OwnerParts, owner: Owner, archive: Arch
 def _owner_parts(
     settings: Settings, config: Path, owned: Ownership, circumstances: Callable[[], Circumstances]
 ) -> OwnerParts:
-    service, event_log = settings.service, EventLog()
+    service = settings.service
+    event_log = new_event_log(datetime.now(UTC))
     computing_s = S_PER_MIN * service.computation_timeout_minutes
     return OwnerParts(
         config=config,

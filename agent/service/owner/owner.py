@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from queue import Queue
 
@@ -81,9 +82,7 @@ class Owner:
 
     def start(self, request: RunRequest, by: str = "") -> str:
         try:
-            with naming(self._parts.config):
-                job = job_of(request, self.settings, self._parts.config.parent)
-            running = self._reserve()
+            running, job = self._reserve_for(partial(job_of, request))
         except VolcalError as error:
             if request.source == "timer":  # nobody stands there to see the refusal
                 self._note_not_started(request, error)
@@ -100,10 +99,8 @@ class Owner:
         return self._begin(running, job, kind, hooks, request.source, request.model_dump(mode="json"), by)
 
     def restore_table(self, run_id: str, role: str, source: Source, by: str = "") -> str:
-        with naming(self._parts.config):
-            job = prepare_job(self.settings, self._parts.config.parent)
         stored_table(self.settings.state_directory, run_id, role)
-        running = self._reserve()
+        running, job = self._reserve_for(prepare_job)
         try:
             self._comparison.make(self.settings)
             self._comparison.require_proved_table()
@@ -166,7 +163,8 @@ class Owner:
                 raise StoreError(f"the run is still unfinished: {found.state.value}", hint=found.instruction)
 
     def hold(self, by: str = "") -> None:
-        self._require(allowed_requests.HOLD, "a run can be held only while it is moving")
+        if self._board.state is not RunState.HELD:  # until the axes have braked, a resumption can be taken back
+            self._require(allowed_requests.HOLD, "a run can be held only while it is moving")
         self._on_running(RunMailbox.hold, "hold requested", by)
         self._record_request("hold requested", allowed_requests.HOLD, by)
 
@@ -263,11 +261,22 @@ class Owner:
             if not idle:
                 return
             found = self._parts.machine.read(self.settings, self._parts.config.parent, self._board.must_compare)
-        with self.use.lock:
-            if self.use.running is None:
-                self._board.show_reading(found)
+            with self.use.lock:  # before the end of the work: a request that waits for it may change what was read
+                if self.use.running is None:
+                    self._board.show_reading(found)
 
     # ------------------------------------------------------------------ starting
+
+    def _reserve_for(self, prepare: Callable[[Settings, Path], Job]) -> tuple[RunMailbox, Job]:
+        """Reserve the machine for a new run, whose job `prepare` makes of the settings. It is made again if the
+        settings are reloaded meanwhile: the run then uses the new ones."""
+        while True:
+            settings = self.settings
+            with naming(self._parts.config):
+                job = prepare(settings, self._parts.config.parent)
+            with self.use.lock:
+                if settings is self.settings:
+                    return self._reserve(), job
 
     def _reserve(self) -> RunMailbox:
         with self.use.lock:
@@ -335,20 +344,25 @@ class Owner:
     # ------------------------------------------------------------------ the run's thread
 
     def _launch(self, running: RunMailbox, carry_out: Callable[[], RunResult]) -> None:
-        threading.Thread(target=self._work, args=(running.run_id, carry_out), name=running.run_id, daemon=True).start()
+        thread = threading.Thread(target=self._work, args=(running.run_id, carry_out), name=running.run_id, daemon=True)
+        try:
+            thread.start()
+        except RuntimeError as error:  # the computer has no memory for it, or too many processes
+            log.exception("no thread for the run")
+            self._conclude(RunState.FAULTED, error)
 
     def _work(self, run_id: str, carry_out: Callable[[], RunResult]) -> None:
         self._parts.health.begin_run()
         with structlog.contextvars.bound_contextvars(run_id=run_id):
             try:
                 ended = carry_out()
+                self._board.show_outcome(ended.outcome)
             except VolcalError as error:
                 self._conclude(_end_of(error), error)
             except BaseException as defect:  # the machine must be released and the defect reported
                 log.exception("defect in the agent")
                 self._conclude(RunState.FAULTED, defect)
             else:
-                self._board.show_outcome(ended.outcome)
                 self._conclude(ended.outcome.state, ended.error)
                 self._parts.reports.request(run_id)
 

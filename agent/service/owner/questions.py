@@ -34,28 +34,32 @@ class Questions:
             self._number += 1
             question = self._open = Question(self._number, text, station, placement)
             self._answer = None
-        self._changed(question, text)
+            self._changed(question, text)
         return question
 
     def answer(self, number: int, yes: bool) -> None:
-        """Answer the question with the number `number`. Raise UserError if this question is not open or has already
-        been answered."""
+        """Answer the question with the number `number`, which is then no longer open, although the run takes the answer
+        only when it goes on. Raise UserError if this question is not open or has already been answered."""
         with self._lock:
             question = self._open
+            if number == self._number and self._answer is not None:
+                raise UserError(f"question {number} has already been answered")
             if question is None or question.number != number:
                 now = "no question is open" if question is None else f"the open question has number {question.number}"
                 raise UserError(f"question {number} is not open", hint=f"{now}; see `volcal status`")
-            if self._answer is not None:
-                raise UserError(f"question {number} has already been answered")
-            self._answer = yes
+            self._open, self._answer = None, yes
+            self._changed(None, "yes" if yes else "no")
 
     def given_answer(self) -> bool | None:
         return self._answer
 
-    def close(self, outcome: str) -> None:
+    def close(self) -> bool | None:
+        """Close the question if it is open. Return its answer, None if it was not answered."""
         with self._lock:
-            self._open = None
-        self._changed(None, outcome)
+            if self._open is not None:
+                self._open = None
+                self._changed(None, "not answered")
+            return self._answer
 
 
 @dataclass(frozen=True)
@@ -84,16 +88,14 @@ class ServiceOperator:
         deadline = Deadline.after(self.clock, self.within_minutes * S_PER_MIN)
         placement = request if isinstance(request, PlacementRequest) else None
         self.questions.ask(request.text, request.station, placement)
-        outcome = "not answered"
         try:
-            while (answer := self.questions.given_answer()) is None:
-                if deadline.expired:
-                    raise PermissionMissing(
-                        f"no answer within {self.within_minutes:g} min: {request.text}",
-                        hint="see `service.answer_timeout_minutes`",
-                    )
+            while self.questions.given_answer() is None and not deadline.expired:
                 self.clock.sleep(POLL_S)
-            outcome = "yes" if answer else "no"
-            return answer
         finally:
-            self.questions.close(outcome)
+            answer = self.questions.close()
+        if answer is None:
+            raise PermissionMissing(
+                f"no answer within {self.within_minutes:g} min: {request.text}",
+                hint="see `service.answer_timeout_minutes`",
+            )
+        return answer

@@ -8,6 +8,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from datetime import datetime
 from queue import Queue
 from typing import Any
 
@@ -18,17 +19,22 @@ MOST_EVENTS = 2000
 """A full calibration produces about 400 events, so a page that was disconnected during a whole run can get all of
 them."""
 MOST_QUEUED = 1000
+MS_PER_S = 1e3
 
 
 class EventLog:
-    """Log of the service's events. Any thread may publish and read."""
+    """Log of the service's events. Any thread may publish and read.
 
-    def __init__(self, retained: int = MOST_EVENTS, queue_limit: int = MOST_QUEUED) -> None:
+    The first event has the number after `after`. The numbers of two logs must not overlap: a reader that knows a number
+    of the former log must not take it for one of this log.
+    """
+
+    def __init__(self, retained: int = MOST_EVENTS, queue_limit: int = MOST_QUEUED, after: int = 0) -> None:
         self._ring: deque[Event] = deque(maxlen=retained)
         self._queue_limit = queue_limit
         self._queues: list[Queue[Event]] = []
         self._callbacks: list[Callable[[], object]] = []
-        self._number = 0
+        self._number = after
         self._lock = threading.Lock()
         self.closed = False
 
@@ -96,6 +102,12 @@ class EventLog:
         finally:
             with self._lock:
                 self._callbacks.remove(callback)
+
+
+def new_event_log(started: datetime) -> EventLog:
+    """Return the log of a service that was started at the time `started`. It numbers its events from the milliseconds
+    since 1970, so that no number of the former process of the service occurs again."""
+    return EventLog(after=int(MS_PER_S * started.timestamp()))
 
 
 def _put(queue: Queue[Event], event: Event, limit: int) -> None:

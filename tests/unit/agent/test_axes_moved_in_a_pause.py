@@ -105,7 +105,7 @@ def test_after_a_jog_on_hold_nothing_moves() -> None:
             cell.supervisor.request_resume()
 
     cell.inner.subscribe(press)
-    tracker = SimpleNamespace(hold=lambda: None, resume=lambda: None, note=None)
+    tracker = SimpleNamespace(may_hold=lambda: True, hold=lambda: None, resume=lambda: None, note=None)
     context: Any = SimpleNamespace(rig=cell.rig, tracker=tracker, supervisor=cell.supervisor)
     with open_rig(context), pytest.raises(MotionFault, match=r"50\.0 mm"):
         cell.carry_out(MoveTo("place", PLACE), Dwell("short", 0.5 * PAUSE_S), MoveTo("next", NEXT))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from queue import SimpleQueue
@@ -27,7 +29,7 @@ from agent.history.retention import compact
 from agent.runs.reconcile import reconcile
 from agent.runs.reconcile_result import CompensationState, ReconcileAction, Reconciliation
 from agent.runs.run_request import RunRequest
-from agent.service.control import LinkState
+from agent.service.control import Alarm, LinkState
 from agent.service.owner import idle_reader, machine_use
 from agent.service.owner.idle_reader import idle_reading, tidy_up
 from agent.service.state.controller_reading import ControllerReading, read_controller
@@ -92,6 +94,29 @@ def test_a_controller_that_has_lost_its_table_is_an_alarm_once_and_its_accuracy_
     shown.begin_run("20261121T020000Z-0000", "calibrate", "page", "S3")
     assert (shown.status().active_bank, shown.status().ve_now_um) == (0, None)
     assert [alarm.code for alarm in now.alarms] == [360]
+
+
+def test_a_reading_is_shown_before_a_request_that_waits_for_it_is_carried_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with house(tmp_path) as built:
+        built.owner.reconcile_if_reached()
+        built.machine.readings.append(ControllerReading(LINKS, 2, compared=None))
+        built.machine.found.extend(compared(CompensationState.AS_EXPECTED, bank) for bank in (2, 1))
+        between_runs = built.owner.use.between_runs
+
+        @contextmanager
+        def settled_after(work: str) -> Iterator[bool]:
+            with between_runs(work) as idle:
+                yield idle
+            settling = threading.Thread(target=built.owner.reset)  # it was only waiting for the end of the reading
+            settling.start()
+            settling.join(PATIENCE_S)
+
+        monkeypatch.setattr(built.owner.use, "between_runs", settled_after)
+        built.parts.board.idle_alarm(Alarm(1, "something"))
+        built.owner.read_idle()
+        assert built.owner.status().active_bank == 1
 
 
 def test_the_machine_is_read_between_runs_and_never_during_one(tmp_path: Path) -> None:

@@ -9,13 +9,17 @@ import pytest
 
 from agent.errors import Aborted
 from agent.execution.rig import STANDSTILL_POLL_S, STANDSTILL_WITHIN_S, Rig
+from agent.execution.run_state import RunStateTracker
+from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
 from agent.runs.session import open_rig
+from agent.service.allowed_requests import allowed_in
 from drivers.clock import INTERRUPT_SLICE_S, InterruptibleClock, VirtualClock
 from drivers.errors import LinkLost
 from drivers.roles import MotionState
 
 HOLD_S, RESUME_S = 1.0, 2.0
+LONGEST_S = 60.0
 
 
 class Machine:
@@ -35,6 +39,16 @@ class Machine:
         return lambda: self.told.append((name, self._clock.now()))
 
 
+class Journal:
+    """Journal that keeps nothing."""
+
+    def state(self, state: RunState, reason: str, *, final: bool) -> None:
+        pass
+
+    def event(self, kind: str, record: object) -> None:
+        pass
+
+
 class Held:
     """Wait of a run that is held at `HOLD_S` and resumed at `RESUME_S`."""
 
@@ -44,7 +58,7 @@ class Held:
         self.machine: Any = Machine(self.inner, braking_s)
         clock = InterruptibleClock(self.inner, self.supervisor.check)
         self.rig = Rig({}, self.machine, self.machine, {}, self.machine, self.machine, self.machine, clock)
-        tracker = SimpleNamespace(hold=lambda: None, resume=lambda: None, note=None)
+        tracker = SimpleNamespace(may_hold=lambda: True, hold=lambda: None, resume=lambda: None, note=None)
         self._context: Any = SimpleNamespace(rig=self.rig, tracker=tracker, supervisor=self.supervisor)
         self._clock = clock
         self.inner.subscribe(self._ask)
@@ -94,6 +108,35 @@ def test_a_hold_while_the_axes_brake_goes_on_without_a_resumption_between() -> N
     held.wait()
     assert held.told == ["hold", "resume"]
     assert held.machine.told[1][1] == pytest.approx(released_s, abs=2.0 * STANDSTILL_POLL_S)
+
+
+def test_a_hold_at_the_end_of_a_measurement_waits_for_a_state_in_which_the_run_can_be_resumed() -> None:
+    held, journal = Held(0.0), Journal()
+    entered: list[str] = []
+    tracker = RunStateTracker(journal, lambda told: entered.append(told.text))  # type: ignore[arg-type]
+    supervisor = Supervisor(held.inner)
+    held.rig.clock = clock = InterruptibleClock(held.inner, supervisor.check)
+    context: Any = SimpleNamespace(rig=held.rig, tracker=tracker, supervisor=supervisor)
+    for state in (RunState.PREFLIGHT, RunState.MEASURING):
+        tracker.enter(state)
+
+    def press(now_s: float) -> None:
+        if "resume" in allowed_in(tracker.state, unfinished=False, question_open=False):
+            supervisor.request_resume()
+        elif now_s >= LONGEST_S:
+            supervisor.request_abort(f"nobody can resume the run in the state {tracker.state.value}")
+
+    held.inner.subscribe(press)
+    with open_rig(context):
+        supervisor.request_hold()  # by somebody to whom the run was still measuring
+        for state in (RunState.IDENTIFYING, RunState.STAGING, RunState.ACTIVATING):
+            tracker.enter(state)
+            clock.sleep(1.0)
+        assert held.told == []
+        tracker.enter(RunState.VERIFYING)
+        clock.sleep(1.0)
+    assert held.told == ["hold", "resume"]
+    assert entered[-3:] == ["verifying", "held", "verifying"]
 
 
 def test_a_motion_that_cannot_be_held_goes_on() -> None:

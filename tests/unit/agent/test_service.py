@@ -12,7 +12,7 @@ import threading
 import time
 import zipfile
 from collections.abc import Iterator
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from queue import SimpleQueue
 
@@ -28,6 +28,7 @@ from agent.execution.run_state import Announcement
 from agent.execution.states import RunState
 from agent.execution.steps import Record, TouchTowards
 from agent.execution.supervisor import Supervisor
+from agent.planning.job import Job
 from agent.runs.kinds.nightly import Night
 from agent.runs.requested_run import job_of, kind_of
 from agent.runs.run_request import RunRequest
@@ -43,7 +44,7 @@ from agent.service.owner.questions import Questions, ServiceOperator
 from agent.service.owner.run_hooks import RunHooksFactory
 from agent.service.owner.run_mailbox import RunMailbox
 from agent.service.owner.unattended import Circumstances, minutes_until_end, require_warm
-from agent.service.state.event_log import EventLog
+from agent.service.state.event_log import EventLog, new_event_log
 from agent.service.state.status_board import doing
 from agent.service.token import make_token, read_token, token_path
 from agent.settings.listing import REMOVED, without_secrets
@@ -260,6 +261,108 @@ def test_settings_are_taken_between_runs_only(tmp_path: Path) -> None:
         assert built.owner.settings.nightly.slot_minutes == 20.0
         with pytest.raises(UserError, match="state_directory"):
             built.owner.reload(Settings.model_validate(settings_document(tmp_path / "elsewhere")))
+
+
+def test_a_run_that_is_asked_for_while_the_settings_are_reloaded_has_the_new_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = Settings.model_validate(settings_document(tmp_path, nightly={"slot_minutes": 20.0}))
+    prepared: list[Settings] = []
+    with house(tmp_path) as built:
+
+        def preparing(request: RunRequest, settings: Settings, base: Path) -> Job:
+            prepared.append(settings)
+            job = job_of(request, settings, base)
+            if settings is not other:
+                built.owner.reload(other)
+            return job
+
+        monkeypatch.setattr("agent.service.owner.owner.job_of", preparing)
+        built.owner.start(NIGHTLY)
+        built.puppet.begun()
+        assert (len(prepared), prepared[-1]) == (2, other)
+        assert built.puppet.started[-1].job.settings.nightly.slot_minutes == 20.0
+
+
+# ---------------------------------------------------------------------- requests to the run in progress
+
+
+def test_a_hold_takes_a_resumption_back_while_the_run_is_still_held(tmp_path: Path) -> None:
+    with house(tmp_path) as built:
+        built.owner.start(NIGHTLY)
+        built.puppet.begun()
+        built.puppet.enter(RunState.MEASURING)
+        built.owner.hold()
+        built.puppet.enter(RunState.HELD)
+        built.owner.resume()
+        built.owner.hold()
+        supervisor = built.puppet.supervisor
+        assert supervisor is not None
+        held: list[str] = []
+        supervisor.on_hold = lambda: held.append("held")
+        supervisor.before_resume = supervisor.request_resume
+        built.puppet.clock.subscribe(lambda _: supervisor.request_resume())
+        supervisor.check()
+        assert held == ["held"]
+
+
+def test_an_answered_question_is_shown_to_nobody_although_the_run_is_held(tmp_path: Path) -> None:
+    with house(tmp_path) as built, built.event_log.subscribe() as events:
+        questions = Questions(built.parts.board.show_question)
+        number = questions.ask("carry it to station 2", 2).number
+        assert "answer" in built.owner.status().may
+        questions.answer(number, True)
+        now = built.owner.status()
+        assert (now.question, "answer" in now.may, questions.given_answer()) == (None, False, True)
+        assert questions.close() is True
+        told = [events.get_nowait() for _ in range(events.qsize())]
+        assert [(event.text, event.data["open"]) for event in told] == [("carry it to station 2", True), ("yes", False)]
+
+
+def test_an_answer_at_the_last_moment_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = VirtualClock()
+    questions = Questions(lambda *_: None)
+    look = questions.given_answer
+
+    def looked() -> bool | None:
+        found = look()
+        if clock.now() >= 120.0 and questions.open is not None:  # after the run has looked for the last time
+            questions.answer(1, True)
+        return found
+
+    monkeypatch.setattr(questions, "given_answer", looked)
+    operator = ServiceOperator(questions, clock, 2.0, attended=True)
+    assert operator.ask(OperatorRequest(OperatorTask.CONSENT, "?"))
+
+
+# ---------------------------------------------------------------------- end of a run that fails in the service itself
+
+
+def test_a_run_for_which_there_is_no_thread_ends_as_a_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def start(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    with house(tmp_path) as built:
+        with monkeypatch.context() as patched:
+            patched.setattr(threading.Thread, "start", start)
+            built.owner.start(NIGHTLY)
+        now = built.owner.status()
+        assert (built.owner.busy, now.state, len(now.alarms)) == (False, RunState.FAULTED, 1)
+
+
+def test_an_outcome_that_cannot_be_shown_does_not_keep_the_machine(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def show(*_: object) -> None:
+        raise ValueError("Out of range float values are not JSON compliant")
+
+    with house(tmp_path) as built:
+        monkeypatch.setattr(built.parts.board, "show_outcome", show)
+        built.owner.start(NIGHTLY)
+        built.puppet.begun()
+        built.puppet.end(RunState.COMPLETE)
+        assert built.owner.wait(PATIENCE_S)
+        assert built.owner.status().state is RunState.FAULTED
 
 
 # ---------------------------------------------------------------------- watchdog
@@ -560,6 +663,15 @@ def test_a_lagging_reader_loses_the_oldest_progress_first() -> None:
     assert lost
     assert [event.number for event in events] == [9, 10, 11]
     assert event_log.since(500)[0]  # of another life of the service
+
+
+def test_events_of_a_service_that_was_started_again_are_not_taken_for_those_of_before() -> None:
+    former, later = (new_event_log(datetime(2026, 11, 21, 2, minute, tzinfo=UTC)) for minute in (0, 1))
+    seen = [former.publish("note", "before") for _ in range(3)][-1].number
+    events = [later.publish("note", "after") for _ in range(5)]
+    lost, missed = later.since(seen)
+    assert lost
+    assert missed == tuple(events)
 
 
 # ---------------------------------------------------------------------- questions

@@ -7,11 +7,14 @@ const QUIET = new Set(["progress", "temperature", "ball"]);
 const POLL_MS = 1000;
 const SOON_MS = 150;
 const SILENT_MS = 4000, NOT_FOUND = 404;
+/* An answer that is older than the one before was overtaken on its way; after this time it is of a service that was started again. */
+const OVERTAKEN_MS = 2000;
 const FIRST_WAIT_MS = 1000, MOST_WAIT_MS = 30000, ANSWER_MS = 60000;
 
 export const seen = { status: null, balls: [], lost: [], temperatures: [], events: [], lastMessage: Date.now(), stale: false };
 const listeners = new Map();
 let waiting = false, asking = false, unread = false, reading = false;
+let taken = 0; // when the status was taken
 let runHeard = null; // run of the last state event or status
 let breakOff = () => {}; // ends the reading of the run, or the wait for its next one
 
@@ -47,8 +50,9 @@ function takeStatus(status) {
   const former = seen.status;
   seen.lastMessage = Date.now();
   setStale(false);
-  if (former && status.event < former.event && status.run_id === former.run_id && status.state === former.state) return;
+  if (former && status.event < former.event && Date.now() - taken < OVERTAKEN_MS && status.run_id === former.run_id && status.state === former.state) return;
   seen.status = status;
+  taken = Date.now();
   if (former?.run_id !== status.run_id) {
     Object.assign(seen, { balls: [], lost: [], temperatures: [] });
     unread = status.run_id !== null;
