@@ -12,6 +12,7 @@ from typing import Any
 
 from agent.history.schema import RUNS, StoredRun, utc_text
 from agent.history.stored_rows import damage_of_history
+from agent.printable import no_formula
 
 COLUMNS = tuple(column.key for column in RUNS.columns if column.key != "digest")
 
@@ -37,7 +38,8 @@ def run_document(run: StoredRun, *, whole: bool = True) -> dict[str, Any]:
 def as_csv(runs: Sequence[StoredRun]) -> str:
     """Return CSV text with one line per run.
 
-    The last columns hold the value and the standard uncertainty of each parameter of the error model.
+    The last columns hold the value and the standard uncertainty of each parameter of the error model. A text that a
+    spreadsheet would take for a formula has an apostrophe in front.
     """
     names = list(dict.fromkeys(p.name for run in runs for p in run.parameters))
     units = {p.name: p.unit for run in runs for p in run.parameters}
@@ -48,12 +50,16 @@ def as_csv(runs: Sequence[StoredRun]) -> str:
     for run in runs:
         known = {p.name: (p.value, p.standard_uncertainty) for p in run.parameters}
         values = [value for name in names for value in known.get(name, (None, None))]
-        writer.writerow([*(_plain(getattr(run, name)) for name in COLUMNS), run.verdict.name, *values])
+        writer.writerow([*(_cell(getattr(run, name)) for name in COLUMNS), run.verdict.name, *values])
     return file.getvalue()
 
 
 def as_json(runs: Sequence[StoredRun]) -> str:
     return json.dumps({"runs": [run_document(run) for run in runs]}, allow_nan=False, indent=1) + "\n"
+
+
+def _cell(value: object) -> object:
+    return no_formula(value) if isinstance(value, str) else _plain(value)
 
 
 def _record(text: str) -> object:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from agent.files import read_text, translated
+from agent.printable import no_formula
 from agent.workpiece.estimate_and_table import EstimateAndTable, read_estimate_and_table
 from twin.arrays import Array
 from twin.units import UM_PER_MM
@@ -19,7 +20,6 @@ from twin.workpiece.feature_file import parse_features
 from twin.workpiece.placement import Placement
 from twin.workpiece.prediction import FeatureError, FeaturePrediction, predict_features
 
-FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n")
 RULE = "ISO 14253-1:2017, conformance probability limit 97.5 %"
 
 
@@ -136,11 +136,6 @@ def csv_lines(predictions: tuple[FeaturePrediction, ...]) -> Iterator[list[str]]
             document = {} if error is None else error_document(error)
             cells += [str(document.get(column, "")) for column in columns]
         yield cells
-
-
-def no_formula(text: str) -> str:
-    """Return a text that no spreadsheet evaluates when it opens the file (OWASP, CSV injection)."""
-    return f"'{text}" if text.startswith(FORMULA_STARTS) else text
 
 
 def _um(value_mm: float | None) -> float | None:

@@ -241,8 +241,8 @@ def format_artefact(artefact: Artefact, covariance_file: str, notes: Sequence[st
     artefact."""
     rows = ",\n".join(f"  [{', '.join(repr(value) for value in ball)}]" for ball in artefact.balls.tolist())
     entries = {
-        "name": json.dumps(artefact.name, ensure_ascii=False),
-        "certificate": json.dumps(artefact.certificate, ensure_ascii=False),
+        "name": _quoted(artefact.name),
+        "certificate": _quoted(artefact.certificate),
         "reference_temperature_c": repr(float(artefact.reference_temperature_c)),
         "cte_per_k": repr(float(artefact.cte_per_k)),
         "cte_standard_uncertainty_per_k": repr(float(artefact.cte_standard_uncertainty_per_k)),
@@ -251,14 +251,25 @@ def format_artefact(artefact: Artefact, covariance_file: str, notes: Sequence[st
         "sag_um": repr(float(UM_PER_MM * artefact.sag_mm)),
         "sag_standard_uncertainty_um": repr(float(UM_PER_MM * artefact.sag_standard_uncertainty_mm)),
         "uncertified_balls": repr(list(artefact.uncertified)),
-        "covariance_file": json.dumps(covariance_file),
+        "covariance_file": _quoted(covariance_file),
         "balls": f"[\n{rows},\n]",
     }
-    lines = [f"# {note}" for note in notes] + [f"{key} = {value}" for key, value in entries.items()]
+    lines = [f"# {_comment(note)}" for note in notes] + [f"{key} = {value}" for key, value in entries.items()]
     lines += _body_lines(artefact.body)
     covariance = (UM_PER_MM**2 * artefact.covariance).tolist()
     table = "".join(",".join(repr(value) for value in row) + "\n" for row in covariance)
     return "\n".join(lines) + "\n", table
+
+
+def _comment(note: str) -> str:
+    """Return the text in one line, without the control characters that TOML forbids: a line feed in the name of an
+    artefact must not begin a key."""
+    return " ".join("".join(c if c.isprintable() else " " for c in note).split())
+
+
+def _quoted(text: str) -> str:
+    """Return the text as a basic string of TOML, which unlike one of JSON must not contain U+007F."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _body_lines(body: ArtefactBody) -> list[str]:
@@ -270,7 +281,7 @@ def _body_lines(body: ArtefactBody) -> list[str]:
     if body.beam is not None:
         lines += ["[beam]", f"radius_mm = {body.beam.radius_mm!r}", f"overhang_mm = {body.beam.overhang_mm!r}"]
     for rod in body.parts:
-        lines += ["[[bodies]]", f"name = {json.dumps(rod.name, ensure_ascii=False)}"]
+        lines += ["[[bodies]]", f"name = {_quoted(rod.name)}"]
         lines += [f"from_mm = {list(rod.start_mm)}", f"to_mm = {list(rod.end_mm)}", f"radius_mm = {rod.radius_mm!r}"]
     return lines
 

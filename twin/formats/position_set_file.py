@@ -70,10 +70,23 @@ def _from_csv(text: str, source: str) -> list[tuple[int, Position]]:
         )
         raise FormatError(f"columns are {','.join(header) or 'missing'}", hint=hint, file=source, row=first[0])
     return [
-        (row, _position(dict(zip(header, cells, strict=False)), source, row))
+        (row, _position(_named(cells, header, source, row), source, row))
         for row, cells in lines
         if any(cell.strip() for cell in cells)
     ]
+
+
+def _named(cells: list[str], header: list[str], source: str, row: int) -> dict[str, str]:
+    """Return the cells of a row by the names of their columns. Optional columns may be missing at the end.
+
+    Raise FormatError if there are more cells than columns, as decimal commas make them: the first ones would be read as
+    other numbers.
+    """
+    if any(cell.strip() for cell in cells[len(header) :]):
+        message = f"{len(cells)} values, but the header names {len(header)} columns"
+        hint = "Write decimal points, and separate the numbers of balls by spaces"
+        raise FormatError(message, hint=hint, file=source, row=row)
+    return dict(zip(header, cells, strict=False))
 
 
 def _is_comment(cells: list[str]) -> bool:

@@ -469,6 +469,16 @@ class TestExports:
         assert float(rows[1]["EXX[1]_µm"]) == pytest.approx(4.0)
         assert rows[0]["started"] == "2026-11-01T02:00:00.000Z"
 
+    def test_no_text_of_the_csv_is_a_formula_for_a_spreadsheet(self, state: Path, store: HistoryStore) -> None:
+        journaled(state, 0, machine="=HYPERLINK(1)")
+        sync(state, store)
+        runs = store.runs("=HYPERLINK(1)")
+        changed = [replace(run, reason="@SUM(A1)", started_by="-2+3") for run in runs]
+        (row,) = csv.DictReader(io.StringIO(as_csv(changed)))
+        assert (row["machine"], row["reason"], row["started_by"]) == ("'=HYPERLINK(1)", "'@SUM(A1)", "'-2+3")
+        assert float(row["EXX[1]_µm"]) == pytest.approx(3.0)
+        assert json.loads(as_json(runs))["runs"][0]["machine"] == "=HYPERLINK(1)"
+
     def test_json_has_it_all(self, state: Path, store: HistoryStore) -> None:
         fed(state, store, [3.0])
         (run,) = json.loads(as_json(store.runs()))["runs"]

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import volcal
 from agent.cli.offline_commands.acceptance import acceptance_command
 from agent.cli.offline_commands.predict import predict_command
-from agent.workpiece.predicted_features import no_formula
+from agent.printable import no_formula
 
 PLATE = volcal.shipped_file("examples/bearing-plate.csv")
 

@@ -8,7 +8,7 @@ import pytest
 from twin.artefact.artefact_body import Rod
 from twin.artefact.position_set import Position
 from twin.errors import DataError, FormatError
-from twin.formats.artefact_file import parse_artefact
+from twin.formats.artefact_file import format_artefact, parse_artefact
 from twin.formats.position_set_file import format_positions, parse_positions
 
 SHIPPED = Path(__file__).parents[3] / "config" / "artefacts" / "ball-bar-1500.toml"
@@ -170,3 +170,15 @@ def test_a_wrong_position_file_names_row_and_column(text: str, told: str) -> Non
 def test_two_ways_of_giving_the_same_are_refused_in_words() -> None:
     with pytest.raises(FormatError, match=r"^give either 'standard_uncertainty_um' or 'covariance_file'"):
         parse_artefact(TEXT + 'covariance_file = "c.csv"\n', "a.toml")
+
+
+@pytest.mark.parametrize("name", [r"bar\nsag_um = 900.0", r"bar \u007f", r"bar\u0001", r"bar\rend", r"\u2028bar"])
+def test_an_artefact_of_any_name_is_written_readable(name: str) -> None:
+    """The file of a calibrated artefact has its name in a comment, too."""
+    numbers = "cte_per_k = 1e-5\ncte_standard_uncertainty_per_k = 1e-7\nball_diameter_mm = 20.0\n"
+    balls = "balls = [[0, 0, 0], [100, 0, 0], [200, 0, 0]]\nstandard_uncertainty_um = 0.5\nsag_um = 1.5\n"
+    stated = parse_artefact(f'name = "{name}"\n{numbers}{balls}', "bar.toml")
+    text, covariance = format_artefact(stated, "covariance.csv", (f"{stated.name}, calibrated",))
+    read = parse_artefact(text, "artefact.toml", lambda _: covariance)
+    assert (read.name, read.sag_mm) == (stated.name, stated.sag_mm)
+    assert text.splitlines()[0].endswith(", calibrated")

@@ -53,3 +53,22 @@ def test_balls_that_are_none_are_named_with_their_row(balls: str, words: str) ->
 def test_an_orientation_with_other_balls_is_the_same_position() -> None:
     with pytest.raises(FormatError, match="already listed as number 1"):
         parse_positions("station,azimuth_deg,elevation_deg,balls\n1,0,45,0 1 2\n1,0,45,3 4 5\n", "set.csv")
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        "1,22,5,45,0",  # 22,5 and 45,0 with decimal commas
+        "1,0,45,,0 1 2,3",
+    ],
+)
+def test_more_values_than_columns_are_refused(row: str) -> None:
+    columns = "station,azimuth_deg,elevation_deg" + (",tool,balls" if " " in row else "")
+    with pytest.raises(FormatError, match=r"values, but the header names . columns") as refused:
+        parse_positions(f"{columns}\n1,0,45\n{row}\n", "set.csv")
+    assert (refused.value.where["file"], refused.value.where["row"]) == ("set.csv", "3")
+
+
+def test_empty_cells_behind_the_columns_are_nothing() -> None:
+    (position,) = parse_positions("station,azimuth_deg,elevation_deg\n1,0,45,, \n", "set.csv")
+    assert (position.azimuth_deg, position.elevation_deg) == (0.0, 45.0)
