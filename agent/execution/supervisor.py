@@ -23,9 +23,9 @@ class Supervisor:
     The clock of the run (an `InterruptibleClock`) calls the method `check` during its waits. The callback `may_hold`
     returns True if the run can be held in its present state; a hold that was requested before waits for such a state,
     since nobody could resume the run in another one. The callback `on_hold` starts the machine's feed hold, and
-    `on_resume` ends it. Before it ends, `before_resume` may wait until the machine
-    can be resumed; a hold that is requested again during this wait goes on. All of them are called on the thread of the
-    run while it waits on the clock, and never while a driver exchanges a message with a device.
+    `on_resume` ends it. Before it ends, `before_resume` may wait until the machine can be resumed; a hold that is
+    requested again during this wait goes on. All of them are called on the thread of the run while it waits on the
+    clock, and never while a driver exchanges a message with a device.
 
     The callback `heartbeat` is called at every check and repeatedly during a hold. From these calls, a watchdog can see
     that the thread of the run does not hang.

@@ -118,7 +118,9 @@ class RequestTrial:
         self._begin("resume_run", lambda: self.scene.owner.resume_run(source), may_be_refused=False)
 
     def hold(self, _: Choose) -> None:
-        self._ask("hold", self.scene.owner.hold, "hold" in self._status.may)
+        status = self._status
+        # a run that is held, also one that is about to continue, stays held
+        self._ask("hold", self.scene.owner.hold, "hold" in status.may or status.state is RunState.HELD)
 
     def resume(self, _: Choose) -> None:
         self._ask("resume", self.scene.owner.resume, "resume" in self._status.may)

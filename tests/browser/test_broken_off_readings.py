@@ -104,7 +104,7 @@ def test_a_service_that_was_started_again_is_shown_although_its_numbers_are_lowe
         with page.expect_response("**/api/status"):
             said.update(status(RunState.IDLE))
         said.update({**idle_with_alarm(), "event": 3})
-        expect(page.locator("#cards .alarm")).to_contain_text(ALARM["text"])
+        expect(page.locator("#cards .alarm")).to_contain_text(str(ALARM["text"]))
 
 
 def test_an_abort_while_a_file_is_fetched_lets_it_arrive_later(chromium: Browser, house: Service) -> None:

@@ -67,8 +67,11 @@ async def machine_token(client: AnyRequester) -> Requester:
 async def of_this_machine(app_state: AppStateDependency, request: Request) -> None:
     """Refuse a request whose header says that the client means another machine. Settings of two machines that share a
     state directory find the same service."""
-    meant, own = request.headers.get(MACHINE_HEADER), app_state.settings().machine
-    if meant is not None and meant != machine_header(own):
+    meant = request.headers.get(MACHINE_HEADER)
+    if meant is None:
+        return
+    own = app_state.settings().machine
+    if meant != machine_header(own):
         raise RequestRefused(
             HTTPStatus.CONFLICT,
             f"the service works for the machine in {own}, not for that in {printable(unquote(meant))}",
