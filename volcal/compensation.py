@@ -18,7 +18,7 @@ from twin.errors import DataError
 from twin.formats.ball_file import BallFile
 from twin.machine.anchor import Anchor
 from volcal.estimation import AnyEstimate, tool_offset
-from volcal.files import PathName
+from volcal.files import PathName, write_texts
 
 CONTROLLER_FORMATS = tuple(FORMATS)
 """Names of the formats that `export_table` writes."""
@@ -93,10 +93,7 @@ def export_table(
     source = ExportSource(table, known)
     require_same_machine(source)
     exported = FORMATS[format_name].export(source, ExportOptions(options, opposite_sign))
-    target = Path(folder)
-    target.mkdir(parents=True, exist_ok=True)
-    for name, text in exported.files.items():
-        (target / name).write_text(text, encoding="utf-8")
+    write_texts(Path(folder), exported.files)
     return exported
 
 

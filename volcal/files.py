@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Callable, Mapping
 from importlib.resources import files
 from os import PathLike
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from twin.artefact.artefact import Artefact
 from twin.artefact.position_set import Position
@@ -141,8 +144,11 @@ def write_table(table: CompensationTable, path: PathName) -> Path:
     """Write a compensation table to a CSV file and a JSON side file with the same name. Return the path of the CSV
     file.
     """
-    _write(Path(path).with_suffix(".json"), format_side_file(table))
-    return _write(path, format_table(table))
+    target = Path(path)
+    write_texts(
+        target.parent, {target.with_suffix(".json").name: format_side_file(table), target.name: format_table(table)}
+    )
+    return target
 
 
 def text_of(path: PathName) -> str:
@@ -176,6 +182,22 @@ def _beside(path: PathName) -> Callable[[str], str]:
 
 def _write(path: PathName, text: str) -> Path:
     target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    target.write_text(text, encoding="utf-8")
+    write_texts(target.parent, {target.name: text})
     return target
+
+
+def write_texts(folder: Path, texts: Mapping[str, str]) -> None:
+    """Write the texts of files by their names into a folder, which is created if it is missing.
+
+    All texts are written in full under temporary names before the first file is replaced, so that none of them is left
+    half written, or beside former ones, if the folder cannot hold them. Raises OSError in this case.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in texts:
+        if (folder / name).is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(folder / name))
+    with TemporaryDirectory(dir=folder, prefix=".volcal-") as staged:
+        for name, text in texts.items():
+            (Path(staged) / name).write_text(text, encoding="utf-8")
+        for name in texts:
+            (Path(staged) / name).replace(folder / name)

@@ -36,7 +36,7 @@ from agent.reports.page import (
     VerifiedPosition,
     name_of_positions,
 )
-from agent.reports.page.data import JournalEstimate
+from agent.reports.page.data import JournalEstimate, ReportedEstimate
 from agent.reports.page.number_format import COVERAGE, fixed
 from agent.reports.page.texts import ENGLISH, Texts
 from agent.results.artefact_calibration import calibration_warnings
@@ -113,7 +113,7 @@ def _header(record: RunRecord, found: IdentificationData | None) -> Header:
     chosen = settings["identification"]
     identified = record.decision(IDENTIFIED)
     shown = {
-        "Prior": "machine family" if chosen["prior"] else "none",
+        "Prior": prior_name(chosen, None if found is None else found.estimate),
         "Weights": "full covariances" if chosen["weights"] == "full" else "equal",
         "Touches per ball": str(_touches_per_ball(record)),
     }
@@ -130,6 +130,14 @@ def _header(record: RunRecord, found: IdentificationData | None) -> Header:
         position_set=as_it_is(Path(asked_for).name) if found is None else name_of_positions(found.positions),
         settings=shown,
     )
+
+
+def prior_name(identification: Mapping[str, Any], estimate: ReportedEstimate | StoredEstimate | None) -> str:
+    """Return the name of the prior of an estimate. That of a night that was fused is the estimate of the nights before,
+    whatever the section `identification` of the settings states."""
+    if isinstance(estimate, StoredEstimate) and estimate.was_fused:
+        return "earlier nights"
+    return "machine family" if identification["prior"] else "none"
 
 
 def _verdict(record: RunRecord) -> RunVerdict:

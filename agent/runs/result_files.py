@@ -19,6 +19,7 @@ from agent.results.gates.gate import Gate
 from agent.results.gates.required_gates import names_of_failed
 from agent.results.run_outcome import Outcome
 from agent.runs.run_results import RunResults
+from drivers.errors import InputError
 from twin.artefact.position_set import Position
 from twin.compensation.table_file import format_side_file, format_table
 from twin.formats.ball_file import format_balls
@@ -80,3 +81,16 @@ def replaced_results(folder: Path, names: Iterable[str], inputs: Iterable[Path])
         return ()
     read = {path.stem for path in inputs if path.resolve().parent == folder.resolve()}
     return tuple(name for name in names if not any(name.startswith(stem) for stem in read))
+
+
+def check_inputs_kept(folder: Path, names: Iterable[str], inputs: Iterable[Path]) -> None:
+    """Raise InputError if one of the files `names` in `folder`, which are to be written or deleted, is among the files
+    that an identification has read, `inputs`."""
+    read = {path.resolve() for path in inputs}
+    for path in (folder / name for name in names):
+        if path.resolve() in read:
+            raise InputError(
+                "a result would replace this file, which the identification reads",
+                hint="choose another directory for the results",
+                file=str(path),
+            )

@@ -65,7 +65,8 @@ def _by_form(axes: Axes, panel: Panel) -> None:
         )
     axes.axvline(len(panel.groups) - 1.5, color=INK, linewidth=0.7)
     axes.set_xticks(range(len(panel.groups)), panel.groups)
-    axes.set_ylim(_LOWEST, 101.0)
+    observed = [100.0 * share.observed for shares in panel.shares.values() for share in shares]
+    axes.set_ylim(_LOWEST if min(observed) > _LOWEST else min(observed) - 1.0, 101.0)
     axes.set_ylabel("truth held by 95 % regions / %")
     axes.set_title(f"By form of deflection, {panel.title}")
     axes.grid(visible=False, axis="x")

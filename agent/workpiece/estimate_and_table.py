@@ -45,6 +45,15 @@ def read_estimate_and_table(
     return EstimateAndTable(stored, found, name, _tool_offset(tool_offset_mm, stored, found))
 
 
+def files_read(estimate: Path, table: Path | None) -> tuple[Path, ...]:
+    """Return the files that `read_estimate_and_table` may read for the same arguments: the estimate, the table beside
+    it and the one that is named, each table with its side file."""
+    folder = estimate if estimate.is_dir() else estimate.parent
+    tables = [folder / TABLE_NAME, *([] if table is None else [table])]
+    whole = folder / ESTIMATE_NAME if estimate.is_dir() else estimate
+    return (whole, *(file for one in tables for file in (one, one.with_suffix(".json"))))
+
+
 def _estimate(path: Path) -> StoredEstimate:
     file = path / ESTIMATE_NAME if path.is_dir() else path
     with translated(file=str(file)):

@@ -27,6 +27,7 @@ if will_run():
     from agent.cli.offline_commands.error_cells import UNCERTAINTY_HEADING, error_cells
     from agent.cli.printing import columns_table, results_console
     from agent.files import write_all_atomically, write_atomically
+    from agent.workpiece.estimate_and_table import files_read
     from agent.workpiece.predicted_features import (
         RULE,
         PredictedFeatures,
@@ -110,7 +111,7 @@ def predict_command(
         raise click.UsageError("--table and --no-table exclude each other")
     if (origin is None) != (height is not None):
         raise click.UsageError("--height belongs to --at best, which needs it")
-    _check_outputs([out, map_file], [features, estimate, table])
+    _check_outputs([out, map_file], [features, *files_read(estimate, table)])
     found = predict_file(
         PredictionRequest(
             features=features,
@@ -136,11 +137,16 @@ def predict_command(
 
 
 def _check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path | None]) -> None:
-    """Raise BadParameter if a result would replace a file that is read."""
-    read = {path.resolve() for path in inputs if path is not None}
+    """Raise BadParameter if a result would replace a file that is read, or the other result."""
+    taken = {path.resolve() for path in inputs if path is not None}
     for path in outputs:
-        if path is not None and path.resolve() in read:
-            raise click.BadParameter(f"'{path}' is read by this command and would be replaced; write to another file")
+        if path is None:
+            continue
+        if path.resolve() in taken:
+            raise click.BadParameter(
+                f"'{path}' is read or written by this command and would be replaced; write to another file"
+            )
+        taken.add(path.resolve())
 
 
 def _is_accepted(error: FeatureError) -> bool:

@@ -156,6 +156,11 @@ def null_intro(identification: IdentificationData) -> str:
     if rank == size:
         return f"All {size} parameters of the model are determined by the measurement."
     missing = plural(size - rank, "direction")
+    if not identification.family_prior:  # no prior, or that of earlier nights
+        return (
+            f"The measurement determines {rank} of {size} combinations of parameters. The other {missing} do not "
+            "follow from this measurement and have no effect at the measured balls:"
+        )
     return (
         f"The measurement determines {rank} of {size} combinations of parameters. The other {missing} follow from the "
         "machine family alone and have no effect at the measured balls:"

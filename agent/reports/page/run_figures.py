@@ -12,7 +12,8 @@ from agent.figures.style import BLUE, GREEN, INK, ORANGE, PURPLE, REPORT_WIDTH_I
 from agent.reports.page.data import TemperatureTrace, VerifiedPosition
 
 MAX_UPRIGHT = 8
-SENSOR_LOOK = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (PURPLE, ":"))
+SENSOR_COLOURS = (BLUE, ORANGE, GREEN, PURPLE)
+SENSOR_LINES = ("-", "--", "-.", ":")
 
 
 def draw_temperatures(traces: Sequence[TemperatureTrace], drifts_um: Sequence[float] = ()) -> str:
@@ -29,12 +30,18 @@ def draw_temperatures(traces: Sequence[TemperatureTrace], drifts_um: Sequence[fl
         else:
             panel = figure.subplots()
         for count, trace in enumerate(traces):
-            colour, line = SENSOR_LOOK[count % len(SENSOR_LOOK)]
+            colour, line = sensor_look(count)
             panel.plot(trace.minutes, trace.temperature_c, line, color=colour, label=trace.name)
         panel.set_xlabel("minutes since the start")
         panel.set_ylabel("temperature / °C")
         panel.legend(ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
     return drawing.svg()
+
+
+def sensor_look(count: int) -> tuple[str, str]:
+    """Return the colour and the style of the line of sensor number `count`, from 0. The first 16 sensors differ."""
+    rounds, place = divmod(count, len(SENSOR_COLOURS))
+    return SENSOR_COLOURS[place], SENSOR_LINES[(place + rounds) % len(SENSOR_LINES)]
 
 
 def draw_position_temperatures(position: np.ndarray, temperature_c: np.ndarray) -> str:

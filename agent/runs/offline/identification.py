@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
-from agent.files import check_folder, translated, write_all_atomically
+from agent.files import check_folder, read_text, translated, write_all_atomically
 from agent.reports.page import name_of_positions
 from agent.results.artefact_calibration import (
     CALIBRATION_FILES,
@@ -24,9 +26,10 @@ from agent.runs.offline.material import IdentificationInput, read_material
 from agent.runs.offline.request import IdentificationRequest
 from agent.runs.offline.result import IdentificationResult
 from agent.runs.offline.result_texts import TABLE_FILES, result_texts
-from agent.runs.result_files import IDENTIFY, REPORT, replaced_results
+from agent.runs.result_files import IDENTIFY, REPORT, check_inputs_kept, replaced_results
 from drivers.roles import Activation, StoreLimits
 from twin.errors import DataError
+from twin.formats.toml_reading import parse_toml
 from twin.units import UM_PER_MM
 
 NO_STORE = StoreLimits((), (0, 0, 0), 0, 0.0, float("inf"), Activation.IMMEDIATE)
@@ -44,8 +47,8 @@ def identify_files(request: IdentificationRequest, timestamp: str) -> Identifica
     every gate passed or `request.even_so` is True. If the artefact was calibrated, its artefact file and covariance are
     written as well. If this identification writes no table, a table in the folder is deleted; so are the other files
     of these that an earlier identification wrote (see `replaced_results`), because they do not belong to the new
-    estimate. `timestamp` is the UTC time of the results in ISO 8601. Raises UserError if the input is wrong; in this
-    case, no file is written.
+    estimate. `timestamp` is the UTC time of the results in ISO 8601. Raises UserError if the input is wrong or if a
+    result would replace or delete a file of the input; in these cases, no file is written.
     """
     check_folder(request.out)
     material = read_material(request)
@@ -66,8 +69,18 @@ def identify_files(request: IdentificationRequest, timestamp: str) -> Identifica
     inputs = (request.balls, request.machine, request.artefact)
     # Whoever wrote a table: beside an estimate that permits none, it would be taken for the table of this estimate.
     former = (*TABLE_FILES, *replaced_results(request.out, (REPORT, *CALIBRATION_FILES), inputs))
+    check_inputs_kept(request.out, (*texts, *former), _files_read(request))
     write_all_atomically(request.out, texts, (name for name in former if name not in texts))
     return result
+
+
+def _files_read(request: IdentificationRequest) -> Iterator[Path]:
+    yield from (request.balls, request.machine, request.artefact, *request.instruments)
+    if request.carried_over is not None:
+        yield request.carried_over
+    covariance = parse_toml(read_text(request.artefact), str(request.artefact)).get("covariance_file")
+    if covariance is not None:
+        yield request.artefact.parent / str(covariance)
 
 
 def _gated(material: IdentificationInput, request: IdentificationRequest) -> tuple[EstimationResult, tuple[Gate, ...]]:

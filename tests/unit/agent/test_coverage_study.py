@@ -10,13 +10,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from study_case import study_case
 
 from agent.studies.coverage import COLUMNS, ORDER_BY_EVIDENCE, ORDER_OF_FILE, REGIONS, run
+from agent.studies.coverage_figure import LEVELS, Panel, draw
 from agent.studies.study import StudyResult
 from agent.studies.study_files import write_result
 from agent.studies.workers import LocalWorkers
 from twin.identification import Options
+from twin.uncertainty.coverage import ObservedCoverage
 from twin.uncertainty.random_machines import AS_MODELLED, DEFLECTION_FORMS
 
 MACHINES = 20
@@ -81,3 +84,12 @@ def test_a_machine_is_the_same_whoever_works_on_it() -> None:
     common = [row for row in found().rows if row[0] in range(2)]
     assert [row[:6] for row in fewer.rows if row[0] in range(2)] == [row[:6] for row in common]
     assert np.isfinite(np.array([row[4] for row in fewer.rows], dtype=float)).all()
+
+
+def test_a_coverage_far_below_the_band_is_in_the_figure() -> None:
+    curve = {"field": np.linspace(0.0, 1.0, len(LEVELS))}
+    for observed, lowest in ((0.94, 70.0), (0.41, 40.0)):
+        shares = {"field": [ObservedCoverage(observed, 0.01), ObservedCoverage(0.95, 0.01)]}
+        figure = Figure()
+        draw(figure, [Panel("file order", ("rails", "all"), shares, curve)])
+        assert figure.axes[0].get_ylim() == pytest.approx((lowest, 101.0))

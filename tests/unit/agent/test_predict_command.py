@@ -122,6 +122,26 @@ def test_no_result_replaces_what_is_read(folder: Path, tmp_path: Path) -> None:
     assert plate.read_bytes() == PLATE.read_bytes()
 
 
+@pytest.mark.parametrize("option", ["-o", "--map"])
+@pytest.mark.parametrize("name", ["estimate.json", "table.csv", "table.json"])
+def test_no_result_replaces_a_file_in_the_folder_of_the_estimate(tmp_path: Path, option: str, name: str) -> None:
+    (tmp_path / name).write_text("of the run", encoding="utf-8")
+    (tmp_path / "places.svg").symlink_to(tmp_path / name)
+    target = tmp_path / (name if option == "-o" else "places.svg")
+    done = predict(PLATE, "--estimate", tmp_path, "--at", "1000,500,400", option, target)
+    assert done.exit_code == 2
+    assert "would be replaced" in done.output
+    assert (tmp_path / name).read_text(encoding="utf-8") == "of the run"
+
+
+def test_the_map_does_not_replace_the_predictions(tmp_path: Path) -> None:
+    both = tmp_path / "places.svg"
+    done = predict(PLATE, "--estimate", tmp_path, "--at", "1000,500,400", "-o", both, "--map", both)
+    assert done.exit_code == 2
+    assert "would be replaced" in done.output
+    assert not both.exists()
+
+
 def test_an_estimate_that_is_none_is_refused(tmp_path: Path) -> None:
     (tmp_path / "estimate.json").write_text("{}", encoding="utf-8")
     done = predict(PLATE, "--estimate", tmp_path, "--at", "1000,500,400")

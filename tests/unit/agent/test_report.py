@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from agent.figures.style import join_markers
-from agent.language.sentences import as_it_is, without_marks
+from agent.language.sentences import as_it_is, german, without_marks
 from agent.reports.page import (
     EventLine,
     Header,
@@ -28,12 +30,15 @@ from agent.reports.page.data import name_of_positions
 from agent.reports.page.document_head import calibration_notes, document_head, instruments
 from agent.reports.page.error_curves import cross_effect_curves, error_curve, geometric_error_curves
 from agent.reports.page.error_table import ErrorRow, error_rows
+from agent.reports.page.identification_sections import null_intro
 from agent.reports.page.identity import validity
 from agent.reports.page.number_format import fixed, micrometres, number
 from agent.reports.page.render import render_report
 from agent.reports.page.residual_figures import BallResiduals
+from agent.reports.page.run_figures import sensor_look
 from agent.reports.page.texts import ENGLISH
 from agent.reports.page.workspace_maps import workspace_maps
+from agent.reports.run_report import prior_name
 from agent.results.estimation import volumetric_summary
 from agent.results.facts import ArtefactFacts, Quantity, TableFacts, triple
 from agent.results.gates.gate import Gate
@@ -44,6 +49,7 @@ from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position, mount_pose, parse_position_set
 from twin.compensation.table import build_table, regular_nodes
 from twin.errors import FormatError
+from twin.formats.estimate_file import format_estimate, parse_estimate
 from twin.formats.toml_reading import validate_document
 from twin.identification import Estimate, Misfit, Options, identify, predicted_vce
 from twin.identification.instruments.check_result import InstrumentCheck, LargestResidual
@@ -648,3 +654,34 @@ class TestWords:
         assert name_of_positions(parse_position_set("S2+S3", 3)) == "S2+S3, 3 stations"
         assert name_of_positions(parse_position_set("S1", 1)) == "S1, 1 station"
         assert name_of_positions((*parse_position_set("S1", 2), Position(2, 10.0, 20.0))) == "7 user-defined positions"
+
+
+def test_the_prior_of_a_fused_night_is_that_of_the_nights_before(offline: ReportData) -> None:
+    text = format_estimate(estimate_of(offline), {})
+    calibrated = parse_estimate(text, "estimate.json")
+    document = json.loads(text)
+    document["carried_over"]["drift_factor"] = {"value": 1.5, "log_deviation": 0.1}
+    fused = parse_estimate(json.dumps(document), "estimate.json")
+    chosen = {"prior": True, "weights": "full"}
+    assert prior_name(chosen, calibrated) == prior_name(chosen, None) == "machine family"
+    assert prior_name(chosen, fused) == "earlier nights"
+    assert prior_name({"prior": False}, calibrated) == "none"
+    assert german("earlier nights") != "earlier nights"
+
+
+def test_without_the_family_nothing_is_said_to_follow_from_it(offline: ReportData) -> None:
+    found = offline.identification
+    assert found is not None
+    model = estimate_of(offline).model
+    few: Any = SimpleNamespace(model=model, rank=model.size - 2)
+    with_family, without = (
+        null_intro(replace(found, estimate=few, family_prior=prior_is_family)) for prior_is_family in (True, False)
+    )
+    assert "The other 2 directions follow from the machine family alone" in with_family
+    assert "family" not in without
+    assert "The other 2 directions do not follow from this measurement" in without
+
+
+def test_no_two_sensors_look_alike() -> None:
+    assert [sensor_look(count)[1] for count in range(4)] == ["-", "--", "-.", ":"]
+    assert len({sensor_look(count) for count in range(16)}) == 16

@@ -161,6 +161,28 @@ def test_wrong_choices_say_what_is_known(tmp_path: Path, names: Mapping[str, Any
         volcal.simulate(names["setup"], deflection="rubber")
 
 
+def test_an_export_that_cannot_be_written_in_full_leaves_the_files_before(
+    tmp_path: Path, names: Mapping[str, Any]
+) -> None:
+    table = volcal.compensation_table(names["estimate"], names["balls"])
+    first, *_, last = volcal.export_table(table, "linuxcnc-comp", tmp_path / "whole").files
+    (tmp_path / last).mkdir()
+    (tmp_path / first).write_text("of the table before", encoding="utf-8")
+    with pytest.raises(IsADirectoryError, match=last):
+        volcal.export_table(table, "linuxcnc-comp", tmp_path)
+    assert (tmp_path / first).read_text(encoding="utf-8") == "of the table before"
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([first, last, "whole"])
+
+
+def test_a_text_that_cannot_be_encoded_leaves_the_file_before(tmp_path: Path) -> None:
+    file = volcal.write_positions((volcal.Position(1, 0.0, 45.0),), tmp_path / "set.csv")
+    before = file.read_bytes()
+    with pytest.raises(UnicodeEncodeError):
+        volcal.write_positions((volcal.Position(2, 0.0, 45.0, tool="long\ud800"),), file)
+    assert file.read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["set.csv"]
+
+
 def test_a_thermometer_is_never_exact_unless_it_is_stated(names: Mapping[str, Any]) -> None:
     """The second night knows the thermometer of the first one, but not a temperature that was not read."""
     setup, read = names["setup"], names["balls"]
