@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 from agent.planning.case_file import CASE_STUDY, load_case
@@ -11,11 +13,15 @@ from agent.studies.study import StudyCase
 from agent.studies.workers import LocalWorkers
 from twin.identification import Options
 
+NOWHERE = Path("/nowhere/runs")
+
 
 @cache
 def shipped_job(stations: int | None = None) -> Job:
-    """Return the job of the case study with its four stations, or with other stations."""
-    return load_case(CASE_STUDY, stations=stations)
+    """Return the job of the case study with its four stations, or with other stations. Runs that somebody has made with
+    the shipped settings are not those of this job."""
+    job = load_case(CASE_STUDY, stations=stations)
+    return replace(job, settings=job.settings.model_copy(update={"state_directory": NOWHERE}))
 
 
 def study_case(stations: int | None = 2, *, seed: int, machines: int = 4, **changes: Any) -> StudyCase:
