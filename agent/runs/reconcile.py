@@ -105,7 +105,9 @@ def reconcile(rig: Rig, state_directory: Path, *, of_run: int | None = None, res
     if waiting is not None:
         return _waiting(rig, last, active, waiting, unfinished)
     state = _state(last, _active_bank(rig, active))
-    kept = _active_bank(rig, last.expected.number) == last.expected
+    # only then: a table is thousands of registers
+    differs = state in (CompensationState.LOST, CompensationState.CHANGED)
+    kept = differs and _active_bank(rig, last.expected.number) == last.expected
     if state is CompensationState.UNPROVED and restore:
         return _restored(rig, state_directory, last, active, unfinished)
     unrepaired = state in (CompensationState.UNPROVED, CompensationState.CHANGED, CompensationState.LOST)
